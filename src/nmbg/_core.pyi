@@ -1,0 +1,43 @@
+"""Types of the compiled kernels; nmbg.ops is their public face."""
+
+import numpy as np
+import numpy.typing as npt
+
+_Float = npt.NDArray[np.floating]
+_Int = npt.NDArray[np.int32]
+
+version: str
+openmp: bool
+simd: str
+
+def rasterize_points(
+    h: _Float, radius_px: float, height: int, width: int, threads: int
+) -> tuple[_Int, _Float]: ...
+def rasterize_points_backward(
+    h: _Float, radius_px: float, index: _Int, grad_dist2: _Float, threads: int
+) -> _Float: ...
+def rasterize_faces(h: _Float, faces: _Int, height: int, width: int, threads: int) -> tuple[_Int, _Float]: ...
+def rasterize_faces_backward(
+    h: _Float, faces: _Int, face: _Int, grad_bary: _Float, threads: int
+) -> _Float: ...
+def shade(
+    index: _Int, weight: _Float, faces: _Int | None, rays: _Float, coeffs: _Float, threads: int
+) -> _Float: ...
+def shade_backward_coeffs(
+    grad_out: _Float,
+    index: _Int,
+    weight: _Float,
+    faces: _Int | None,
+    rays: _Float,
+    coeffs: _Float,
+    threads: int,
+) -> _Float: ...
+def shade_backward_pixels(
+    grad_out: _Float,
+    index: _Int,
+    weight: _Float,
+    faces: _Int | None,
+    rays: _Float,
+    coeffs: _Float,
+    threads: int,
+) -> tuple[_Float, _Float]: ...

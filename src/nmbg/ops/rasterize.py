@@ -1,0 +1,171 @@
+"""Rasterization of points and faces: which of them each pixel sees."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch  # before nmbg._core: the process then has the one OpenMP runtime of torch
+from torch import Tensor
+
+from nmbg import _core
+from nmbg.ops._arrays import array
+
+# The ops return values before indices: torch.library.opcheck sums outputs into the first one.
+
+
+@torch.library.custom_op("nmbg::rasterize_points", mutates_args=(), device_types="cpu")
+def _rasterize_points(h: Tensor, radius_px: float, height: int, width: int) -> tuple[Tensor, Tensor]:
+    index, dist2 = _core.rasterize_points(array("h", h), radius_px, height, width, torch.get_num_threads())
+    return torch.from_numpy(dist2), torch.from_numpy(index)
+
+
+@_rasterize_points.register_fake
+def _(h: Tensor, radius_px: float, height: int, width: int) -> tuple[Tensor, Tensor]:
+    return h.new_empty((height, width)), h.new_empty((height, width), dtype=torch.int32)
+
+
+@torch.library.custom_op("nmbg::rasterize_points_backward", mutates_args=(), device_types="cpu")
+def _rasterize_points_backward(h: Tensor, radius_px: float, index: Tensor, grad_dist2: Tensor) -> Tensor:
+    return torch.from_numpy(
+        _core.rasterize_points_backward(
+            array("h", h),
+            radius_px,
+            array("index", index),
+            array("grad_dist2", grad_dist2),
+            torch.get_num_threads(),
+        )
+    )
+
+
+@_rasterize_points_backward.register_fake
+def _(h: Tensor, radius_px: float, index: Tensor, grad_dist2: Tensor) -> Tensor:
+    return h.new_empty(h.shape)
+
+
+def _save_points(ctx: Any, inputs: tuple[Tensor, float, int, int], output: tuple[Tensor, Tensor]) -> None:
+    h, ctx.radius_px, _, _ = inputs
+    _, index = output
+    ctx.mark_non_differentiable(index)
+    ctx.save_for_backward(h, index)
+
+
+def _grad_points(ctx: Any, grad_dist2: Tensor, _: Tensor | None) -> tuple[Tensor, None, None, None]:
+    h, index = ctx.saved_tensors
+    return _rasterize_points_backward(h, ctx.radius_px, index, grad_dist2), None, None, None
+
+
+_rasterize_points.register_autograd(_grad_points, setup_context=_save_points)
+
+
+@torch.library.custom_op("nmbg::rasterize_faces", mutates_args=(), device_types="cpu")
+def _rasterize_faces(h: Tensor, faces: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+    face, bary = _core.rasterize_faces(
+        array("h", h), array("faces", faces), height, width, torch.get_num_threads()
+    )
+    return torch.from_numpy(bary), torch.from_numpy(face)
+
+
+@_rasterize_faces.register_fake
+def _(h: Tensor, faces: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+    return h.new_empty((height, width, 3)), h.new_empty((height, width), dtype=torch.int32)
+
+
+@torch.library.custom_op("nmbg::rasterize_faces_backward", mutates_args=(), device_types="cpu")
+def _rasterize_faces_backward(h: Tensor, faces: Tensor, face: Tensor, grad_bary: Tensor) -> Tensor:
+    return torch.from_numpy(
+        _core.rasterize_faces_backward(
+            array("h", h),
+            array("faces", faces),
+            array("face", face),
+            array("grad_bary", grad_bary),
+            torch.get_num_threads(),
+        )
+    )
+
+
+@_rasterize_faces_backward.register_fake
+def _(h: Tensor, faces: Tensor, face: Tensor, grad_bary: Tensor) -> Tensor:
+    return h.new_empty(h.shape)
+
+
+def _save_faces(ctx: Any, inputs: tuple[Tensor, Tensor, int, int], output: tuple[Tensor, Tensor]) -> None:
+    h, faces, _, _ = inputs
+    _, face = output
+    ctx.mark_non_differentiable(face)
+    ctx.save_for_backward(h, faces, face)
+
+
+def _grad_faces(ctx: Any, grad_bary: Tensor, _: Tensor | None) -> tuple[Tensor, None, None, None]:
+    return _rasterize_faces_backward(*ctx.saved_tensors, grad_bary), None, None, None
+
+
+_rasterize_faces.register_autograd(_grad_faces, setup_context=_save_faces)
+
+
+def rasterize_points(
+    h: Tensor,  # [N, 3]
+    radius_px: float,
+    height: int,
+    width: int,
+) -> tuple[Tensor, Tensor]:  # [H, W], [H, W]
+    """The nearest point whose projection lies within a radius of each pixel centre.
+
+    Args:
+        h: [N, 3] float32 or float64, homogeneous pixels (u·z, v·z, z); points with z ≤ 0 or values that are
+            not finite are not drawn.
+        radius_px: a point is a candidate strictly within this distance, in pixels.
+        height: image height in pixels.
+        width: image width in pixels.
+
+    Returns:
+        index: [H, W] int32, the point of the smallest z (of equal ones, the lowest index), −1 where none.
+        dist2: [H, W] in the dtype of `h`, squared distance to the pixel centre in px², 0 where none;
+            differentiable with respect to `h`.
+
+    Raises:
+        TypeError, ValueError: an argument of another dtype, shape or range than said here.
+    """
+    dist2, index = _rasterize_points(h, radius_px, height, width)
+    return index, dist2
+
+
+def rasterize_faces(
+    h: Tensor,  # [N, 3]
+    faces: Tensor,  # [M, 3]
+    height: int,
+    width: int,
+) -> tuple[Tensor, Tensor]:  # [H, W], [H, W, 3]
+    """The nearest face along the ray through each pixel centre.
+
+    Faces that cross the camera plane are drawn as far as they are in front of it. A pixel centre on the edge
+    between two faces belongs to exactly one of them. Both sides of a face are drawn.
+
+    Args:
+        h: [N, 3] float32 or float64, homogeneous pixels (u·z, v·z, z); faces without area or with values that
+            are not finite are not drawn.
+        faces: [M, 3] int32, the vertices of each face.
+        height: image height in pixels.
+        width: image width in pixels.
+
+    Returns:
+        face: [H, W] int32, the face of the smallest z (of equal ones, the lowest index), −1 where none.
+        bary: [H, W, 3] in the dtype of `h`, perspective-correct barycentrics, 0 where none; differentiable
+            with respect to `h`.
+
+    Raises:
+        TypeError, ValueError: an argument of another dtype, shape or range than said here.
+    """
+    bary, face = _rasterize_faces(h, faces, height, width)
+    return face, bary
+
+
+def face_depth(
+    face: Tensor,  # [H, W]
+    bary: Tensor,  # [H, W, 3]
+    faces: Tensor,  # [M, 3]
+    h: Tensor,  # [N, 3]
+) -> Tensor:  # [H, W]
+    """View-space depth z of the faces that rasterize_faces() found, [H, W], 0 where none; differentiable."""
+    seen = face >= 0
+    z = h[:, 2][faces[face[seen].long()].long()]  # [S, 3]
+    return bary.new_zeros(face.shape).masked_scatter(seen, (bary[seen] * z).sum(-1))
