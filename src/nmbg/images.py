@@ -1,0 +1,111 @@
+"""Photographs and masks as uint8 arrays: read, write, resize, undistort."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import OpenImageIO as oiio
+import pycolmap
+
+from nmbg.errors import NmbgError
+
+Image = npt.NDArray[np.uint8]
+Mask = npt.NDArray[np.bool_]
+
+SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".exr", ".heic"})
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height from the file's header, as stored: an orientation tag is ignored, as COLMAP does."""
+    file = _open(path)
+    spec = file.spec()
+    file.close()
+    return spec.width, spec.height
+
+
+def read_image(path: Path) -> Image:
+    """Read a photograph, [H, W, 3] uint8; grey is repeated, alpha dropped, more than 8 bits are rounded.
+
+    Raises:
+        NmbgError: absent, no image, or truncated.
+    """
+    pixels = _read(path)
+    return np.ascontiguousarray(
+        pixels[..., :3] if pixels.shape[2] >= 3 else pixels[..., :1].repeat(3, axis=2)
+    )
+
+
+def read_mask(path: Path) -> Mask:
+    """Read a mask, [H, W] bool: true where the first channel is at least half bright."""
+    return np.ascontiguousarray(_read(path)[..., 0] >= 128)
+
+
+def write_image(path: Path, image: npt.NDArray[np.uint8]) -> None:
+    """Write [H, W, 3] or [H, W] uint8 in the format of the suffix.
+
+    Raises:
+        NmbgError: the file cannot be written.
+    """
+    pixels = np.ascontiguousarray(image if image.ndim == 3 else image[..., None])
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "uint8")
+    # Twice as fast as the default level, for a few per cent of the size.
+    spec.attribute("png:compressionLevel", 3)
+    out = oiio.ImageOutput.create(str(path))
+    if out is None:
+        raise NmbgError(f"{path}: unknown image format ({_one_line(oiio.geterror())}); use .png or .jpg")
+    if not (out.open(str(path), spec) and out.write_image(pixels) and out.close()):
+        raise NmbgError(f"{path}: cannot be written ({_one_line(out.geterror())}); is the disk full?")
+
+
+def resize(image: Image, width: int, height: int) -> Image:
+    """Resample [H, W, C] with a Lanczos filter that widens with the reduction; image borders stay borders."""
+    if image.shape[:2] == (height, width):
+        return image
+    roi = oiio.ROI(0, width, 0, height, 0, 1, 0, image.shape[2])
+    out = oiio.ImageBufAlgo.resize(oiio.ImageBuf(image), filtername="lanczos3", roi=roi, nthreads=1)
+    return np.asarray(out.get_pixels(oiio.UINT8), dtype=np.uint8)
+
+
+def undistort(image: Image, lens: pycolmap.Camera) -> Image:
+    """Resample [H, W, 3] uint8 as the pinhole camera of `undistorted_camera(lens)` would see it."""
+    bitmap, _ = pycolmap.undistort_image(
+        pycolmap.UndistortCameraOptions(), pycolmap.Bitmap.from_array(image), lens
+    )
+    array: Image = bitmap.to_array()
+    return array
+
+
+def undistorted_camera(lens: pycolmap.Camera) -> pycolmap.Camera:
+    """The pinhole camera whose image lies wholly inside the distorted one: no black borders."""
+    return pycolmap.undistort_camera(pycolmap.UndistortCameraOptions(), lens)
+
+
+def _open(path: Path) -> oiio.ImageInput:
+    if not path.is_file():
+        raise NmbgError(f"{path}: no such image; restore it or give the right folder")
+    file = oiio.ImageInput.open(str(path))
+    if file is None:
+        raise NmbgError(
+            f"{path}: not a readable image ({_one_line(oiio.geterror())}); restore it from its source"
+        )
+    return file
+
+
+def _read(path: Path) -> Image:
+    file = _open(path)
+    pixels: Any = file.read_image(0, 0, 0, file.spec().nchannels, "uint8")
+    # A truncated JPEG comes back padded with grey, with the error only noted.
+    error = file.geterror()
+    file.close()
+    if pixels is None or error:
+        raise NmbgError(
+            f"{path}: damaged or truncated image ({_one_line(error)}); restore it from its source"
+        )
+    return np.asarray(pixels, dtype=np.uint8)
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split()) or "unknown error"

@@ -1,0 +1,192 @@
+"""The far shell: a closed surface behind everything, for the pixels where the mesh has holes or ends.
+
+Star-shaped around the mean training camera. In every training view the depth of uncovered pixels is filled
+from the mesh around them, favouring the far side (what shows through a hole lies behind); the shell's radius
+in each direction is what these depths agree on, and never less than what lies in that direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import torch
+import torch.nn.functional as F
+import trimesh
+from torch import Tensor
+
+from nmbg.cameras import Camera
+from nmbg.mesh import GREY, Mesh, merge
+from nmbg.reconstruct.colours import spread
+from nmbg.reconstruct.coverage import Sight, look, reduced, visible_faces
+
+Floats = npt.NDArray[np.float64]
+
+# Longer side of the views that the shell is fitted to, pixels: holes matter, not details.
+FIT_SIZE = 192
+# Neighbouring views see the same holes; of more than this, every n-th is used.
+MOST_VIEWS = 100
+# Of the pixels that must stay visible every third is enough, for cells of four degrees.
+SKIP = 3
+# Directions of the fit: an icosphere of 2562 vertices, four degrees apart.
+SUBDIVISIONS = 4
+# Where views see the shell it is refined while it stays below this.
+MOST_VERTICES = 40_000
+# Exponent of the power mean that fills depth; the larger, the more the far side wins.
+FAR_EXPONENT = 12
+# The shell keeps this distance from what it must not hide, as a factor of the radius.
+CLEARANCE = 1.02
+
+
+def far_shell(mesh: Mesh, cameras: Sequence[Camera]) -> Mesh:
+    """Build the shell for a mesh and its training cameras; its vertices are grey."""
+    centre = np.stack([camera.centre for camera in cameras]).mean(0)
+    step = -(-len(cameras) // MOST_VIEWS)
+    sights = [look(mesh, reduced(camera, FIT_SIZE)) for camera in cameras[::step]]
+    sphere = trimesh.creation.icosphere(subdivisions=SUBDIVISIONS)
+    directions, faces = np.asarray(sphere.vertices), np.asarray(sphere.faces, dtype=np.int32)
+
+    wanted: list[Floats] = []
+    inside: list[Floats] = [mesh.vertices - centre]
+    for sight in sights:
+        if sight.covered.any():
+            points = unproject(sight.camera, fill_depth(sight.depth, sight.covered)) - centre
+            wanted.append(points[~sight.covered.numpy()])
+            # Nothing may stand between a camera and what it sees.
+            origin = sight.camera.centre - centre
+            sparse, seen = points[::SKIP, ::SKIP], sight.covered.numpy()[::SKIP, ::SKIP]
+            inside += [origin + share * (sparse - origin).reshape(-1, 3) for share in (0.0, 0.25, 0.5, 0.75)]
+            inside.append(sparse[seen])
+    places = np.stack([sight.camera.centre for sight in sights]) - centre
+    inside.append((0.5 * (places[:, None] + places)).reshape(-1, 3))  # nor between two cameras
+
+    floor = _cell_maximum(np.concatenate(inside), directions, faces) * CLEARANCE
+    radius, known = _cell_median(np.concatenate(wanted), directions)
+    radius = np.maximum(_smooth(radius, known, faces, default=floor.max()), floor)
+    shell = _mesh(centre + directions * radius[:, None], faces)
+    return _refine(shell, mesh, sights)
+
+
+def fill_depth(depth: Tensor, known: Tensor) -> Tensor:
+    """Fill unknown depth by push–pull: averages over ever larger blocks of pixels, then interpolated back.
+
+    Args:
+        depth: [H, W] positive where known, scene units.
+        known: [H, W] bool, somewhere true.
+
+    Returns:
+        [H, W] float64: `depth` where known, else a power mean of the known depths around, far ones first.
+    """
+    largest = depth[known].max().double()
+    value = torch.where(known, (depth.double() / largest).clamp(min=0) ** FAR_EXPONENT, 0.0)[None, None]
+    filled = _push_pull(value, known.double()[None, None])[0, 0] ** (1 / FAR_EXPONENT) * largest
+    return torch.where(known, depth.double(), filled)
+
+
+def _push_pull(value: Tensor, weight: Tensor) -> Tensor:
+    """Fill an image [1, 1, H, W] (0 where the weight is 0) from its own reduced copies."""
+    height, width = value.shape[2:]
+    if height == width == 1:
+        return value
+    odd = (0, width % 2, 0, height % 2)
+    total = F.avg_pool2d(F.pad(weight, odd), 2)
+    mean = F.avg_pool2d(F.pad(value * weight, odd), 2) / total.clamp(min=1e-12)
+    coarse = _push_pull(mean, (total > 0).double())
+    fine = F.interpolate(coarse, scale_factor=2, mode="bilinear", align_corners=False)
+    return torch.where(weight > 0, value, fine[..., :height, :width])
+
+
+def unproject(camera: Camera, depth: Tensor) -> Floats:
+    """World points [H, W, 3] float64 at the pixel centres, for view-space depth [H, W]."""
+    rays = camera.rays(torch.float64)
+    along_axis = rays @ torch.from_numpy(camera.axis)
+    points: Floats = (camera.centre + (rays * (depth.double() / along_axis)[..., None]).numpy()).astype(
+        np.float64
+    )
+    return points
+
+
+def _cells(points: Floats, directions: Floats) -> npt.NDArray[np.int64]:
+    """Index of the direction [V, 3] nearest to that of each point [N, 3]."""
+    grid = torch.from_numpy(directions.T.astype(np.float32))
+    chunks = torch.split(torch.from_numpy(points.astype(np.float32)), 16384)
+    return torch.cat([(chunk @ grid).argmax(1) for chunk in chunks]).numpy()
+
+
+def _cell_maximum(points: Floats, directions: Floats, faces: npt.NDArray[np.int32]) -> Floats:
+    """Largest radius of the points in each direction's cell and the cells beside it; 0 where there are none.
+
+    A facet's three corners are neighbours, so no point lies outside the facet that it looks through.
+    """
+    radius = np.zeros(len(directions))
+    np.maximum.at(radius, _cells(points, directions), np.linalg.norm(points, axis=1))
+    widest = radius.copy()
+    for a, b in ((0, 1), (1, 2), (2, 0)):
+        np.maximum.at(widest, faces[:, a], radius[faces[:, b]])
+        np.maximum.at(widest, faces[:, b], radius[faces[:, a]])
+    return widest
+
+
+def _cell_median(points: Floats, directions: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
+    """Median radius of the points in each direction's cell, and whether it has any."""
+    cell, radius = _cells(points, directions), np.linalg.norm(points, axis=1)
+    order = np.lexsort((radius, cell))
+    count = np.bincount(cell, minlength=len(directions))
+    start = np.cumsum(count) - count
+    known = count > 0
+    median = np.zeros(len(directions))
+    median[known] = radius[order[start[known] + count[known] // 2]]
+    return median, known
+
+
+def _smooth(
+    radius: Floats,
+    known: npt.NDArray[np.bool_],
+    faces: npt.NDArray[np.int32],
+    default: float,
+    rounds: int = 10,
+) -> Floats:
+    """Carry known radii to the unknown and even them out along edges, as logarithms: views see ratios."""
+    if not known.any():
+        return np.full(len(radius), default)
+    sparse = np.log(np.where(known, radius, 1.0)).astype(np.float32)
+    log = spread(sparse[:, None], known, faces)[:, 0].astype(np.float64)
+    i, j = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).T
+    degree = np.bincount(i, minlength=len(log))  # each edge of a closed surface once per direction
+    for _ in range(rounds):
+        log = 0.5 * log + 0.5 * np.bincount(i, weights=log[j], minlength=len(log)) / degree
+    smoothed: Floats = np.exp(log)
+    return smoothed
+
+
+def _refine(shell: Mesh, mesh: Mesh, sights: Sequence[Sight]) -> Mesh:
+    """Subdivide the facets that views see, and those around them, as often as the limit allows.
+
+    The others stay: they cost little, and a camera that looks elsewhere still finds a background. A midpoint
+    lies on the edge that it halves, so facets of two sizes meet without a gap.
+    """
+    needed: npt.NDArray[np.bool_] = np.zeros(len(shell.faces), dtype=bool)
+    whole = merge(mesh, shell)
+    for sight in sights:
+        face = visible_faces(whole, sight.camera)
+        needed[face[face >= len(mesh.faces)] - len(mesh.faces)] = True
+    for _ in range(2):
+        touched = np.zeros(len(shell.vertices), dtype=bool)
+        touched[shell.faces[needed]] = True
+        needed = np.any(touched[shell.faces], axis=1)
+
+    while needed.any():
+        halved = np.flatnonzero(needed)
+        vertices, faces = trimesh.remesh.subdivide(shell.vertices, shell.faces, halved)  # type: ignore[no-untyped-call]
+        if len(vertices) > MOST_VERTICES:
+            break
+        kept = len(shell.faces) - len(halved)
+        needed = np.arange(len(faces)) >= kept  # the new facets come last
+        shell = _mesh(vertices, faces)
+    return shell
+
+
+def _mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> Mesh:
+    points = np.asarray(vertices, dtype=np.float32)
+    return Mesh(points, np.asarray(faces, dtype=np.int32), np.full(points.shape, GREY, dtype=np.uint8))
