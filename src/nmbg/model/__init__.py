@@ -1,0 +1,1 @@
+"""Descriptors on the mesh and the network behind them."""

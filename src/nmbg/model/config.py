@@ -1,0 +1,68 @@
+"""What a model is made of: one dataclass; every variant is a preset of it (nmbg.presets)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Norm = Literal["batch", "none"]
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """The memory on the mesh and the network behind it.
+
+    Args:
+        degree: degree of the spherical harmonics, 0 to 2: (degree + 1)² coefficients a feature.
+        features: features per vertex (paper: 8); with `colour_skip` the first three are colour.
+        faces: rasterize the faces.
+        points: rasterize the vertices as radius points.
+        point_radius: where the short image side spans [−1, 1] (paper: 0.006); None: half a pixel (NPBG).
+        point_weight: weight points by 1 − d² / r²; NPBG has none.
+        layers: 1, or 2 for foreground and background, split at the foreground sphere.
+        widths: channels of the U-Net per level (paper: 16, 32, 64, 128, 256); empty: no network.
+        norm: BatchNorm in the encoders (paper), or none.
+        mask_channel: tell the network where each layer is covered.
+        colour_skip: image = rendered colour + network, whose last convolution starts at zero.
+        supersample: rasterize s × s samples a pixel and average them (faces only).
+    """
+
+    degree: int = 2
+    features: int = 8
+    faces: bool = True
+    points: bool = True
+    point_radius: float | None = 0.006
+    point_weight: bool = True
+    layers: int = 1
+    widths: tuple[int, ...] = (16, 32, 64, 128, 256)
+    norm: Norm = "batch"
+    mask_channel: bool = False
+    colour_skip: bool = False
+    supersample: int = 1
+
+    def __post_init__(self) -> None:
+        if not self.faces and not self.points:
+            raise ValueError("a model rasterizes faces, points or both; got neither")
+        if not self.widths and not self.colour_skip:
+            raise ValueError("a model without a network shows the rendered colour: colour_skip must be set")
+        if self.colour_skip and (not self.faces or self.features < 3):
+            raise ValueError(f"colour_skip needs faces and 3 features; got {self.features}")
+
+    @property
+    def bases(self) -> int:
+        """Spherical-harmonic coefficients per feature, (degree + 1)²."""
+        return (self.degree + 1) ** 2
+
+    @property
+    def levels(self) -> int:
+        """Levels of the image pyramid; 1 without a network."""
+        return max(1, len(self.widths))
+
+    @property
+    def channels(self) -> int:
+        """Channels of one layer's feature image."""
+        return self.features * (int(self.faces) + int(self.points)) + int(self.mask_channel)
+
+    def radius_px(self, width: int, height: int) -> float:
+        """Point radius in pixels, the same at every level (method: section 2)."""
+        return 0.5 if self.point_radius is None else self.point_radius * min(width, height) / 2

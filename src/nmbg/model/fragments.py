@@ -1,0 +1,124 @@
+"""What a camera sees of the geometry: rasterized once, shaded as often as training needs it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from nmbg.cameras import Camera
+from nmbg.mesh import Mesh
+from nmbg.model.config import ModelConfig
+from nmbg.ops import rasterize_faces, rasterize_points
+
+
+@dataclass(frozen=True)
+class LevelFragments:
+    """One layer at one pyramid level; indices count within the view's visible vertices and faces.
+
+    Args:
+        camera: the level's camera; its rays give the harmonics' directions.
+        index: [H, W] int32 nearest point, −1 where none; None without points.
+        weight: [H, W] float32 point weight.
+        face: [sH, sW] int32 nearest face, −1 where none; None without faces. s is the supersampling.
+        bary: [sH, sW, 3] float32 perspective-correct barycentrics.
+    """
+
+    camera: Camera
+    index: Tensor | None
+    weight: Tensor | None
+    face: Tensor | None
+    bary: Tensor | None
+
+
+@dataclass(frozen=True)
+class LayerFragments:
+    """One layer of one view.
+
+    Args:
+        vertices: [V] int64, ascending: the layer's vertices that any level shows.
+        faces: [F, 3] int32 into `vertices`: the faces that any level shows.
+        levels: the pyramid, finest first.
+    """
+
+    vertices: Tensor
+    faces: Tensor
+    levels: list[LevelFragments]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory held, bytes."""
+        tensors = [self.vertices, self.faces]
+        for level in self.levels:
+            tensors += [t for t in (level.index, level.weight, level.face, level.bary) if t is not None]
+        return sum(t.nbytes for t in tensors)
+
+
+def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig) -> LayerFragments:
+    """Rasterize one layer for all pyramid levels of a camera.
+
+    Args:
+        mesh: the layer's geometry.
+        camera: the view; 2^(levels − 1) divides its size.
+        config: what to rasterize, and how.
+    """
+    vertices, faces = torch.from_numpy(mesh.vertices), torch.from_numpy(mesh.faces)
+    radius = config.radius_px(camera.width, camera.height)
+    s = config.supersample
+    levels = []
+    for k in range(config.levels):
+        view = camera.level(k)
+        index = weight = face = bary = None
+        if config.points:
+            index, dist2 = rasterize_points(view.project(vertices), radius, view.height, view.width)
+            weight = 1 - dist2 / radius**2 if config.point_weight else torch.ones_like(dist2)
+        if config.faces:
+            fine = view.resized(s * view.width, s * view.height)
+            face, bary = rasterize_faces(fine.project(vertices), faces, fine.height, fine.width)
+        levels.append(LevelFragments(view, index, weight, face, bary))
+    return _compact(levels, faces, len(mesh.vertices))
+
+
+def _compact(levels: list[LevelFragments], faces: Tensor, n_vertices: int) -> LayerFragments:
+    """Renumber what is seen from zero, so that a step costs what it sees and not what the scene holds."""
+    seen_faces = _seen([level.face for level in levels], len(faces))
+    shown = faces[seen_faces].long()
+    seen = torch.zeros(n_vertices, dtype=torch.bool)
+    seen[_seen([level.index for level in levels], n_vertices)] = True
+    seen[shown.flatten()] = True
+    vertices = seen.nonzero().squeeze(1)
+
+    new_vertex = _renumber(vertices, n_vertices)
+    new_face = _renumber(seen_faces, len(faces))
+    compact = [
+        LevelFragments(
+            level.camera,
+            None if level.index is None else _apply(new_vertex, level.index),
+            level.weight,
+            None if level.face is None else _apply(new_face, level.face),
+            level.bary,
+        )
+        for level in levels
+    ]
+    return LayerFragments(vertices, new_vertex[shown].reshape(-1, 3), compact)
+
+
+def _seen(indices: list[Tensor | None], count: int) -> Tensor:
+    """Ascending ids that occur in the index images, [K] int64."""
+    seen = torch.zeros(count + 1, dtype=torch.bool)
+    for index in indices:
+        if index is not None:
+            seen[index.flatten().long()] = True  # −1 marks the spare last entry
+    return seen[:count].nonzero().squeeze(1)
+
+
+def _renumber(kept: Tensor, count: int) -> Tensor:
+    """Table old id → new id, −1 for the dropped; its spare last entry maps −1 to −1."""
+    table = torch.full((count + 1,), -1, dtype=torch.int32)
+    table[kept] = torch.arange(len(kept), dtype=torch.int32)
+    return table
+
+
+def _apply(table: Tensor, index: Tensor) -> Tensor:
+    return table[index.long()]

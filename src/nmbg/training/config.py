@@ -1,0 +1,149 @@
+"""How a model is trained, and the presets: each a model and its training, all run by the same code."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from nmbg.model.config import ModelConfig
+
+Start = Literal["zeros", "mean", "fit"]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A part of the budget with its own learning-rate decay.
+
+    Args:
+        share: share of the budget, relative to the other stages.
+        network: train the whole model; otherwise only the colour on the mesh.
+        perceptual: weight of L_rec (paper, equation 4), 0 to leave the feature network out.
+        l1: weight of the mean absolute colour difference.
+        descriptor_rate: learning rate of the descriptors at the stage's start.
+        network_rate: learning rate of the network at the stage's start.
+        decay: linear decay to zero at the stage's end; otherwise constant.
+    """
+
+    share: float
+    network: bool
+    perceptual: float = 0.0
+    l1: float = 1.0
+    descriptor_rate: float = 0.02
+    network_rate: float = 1e-3
+    decay: bool = True
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Everything that decides a training run, written to config.yaml.
+
+    Args:
+        preset: name of the preset that the rest came from.
+        model: the model.
+        stages: what is trained when.
+        start: descriptors start at zeros, at the mean vertex colours, or at harmonics fitted in closed form.
+        perceptual: layers of L_rec (`nmbg.losses.Perceptual`), or "none".
+        zoom: largest random zoom; 1 trains on full frames. With it, windows are drawn at `window` size.
+        window: side of a random window as a share of the image's; 1 with zoom 1 is the whole frame.
+        iterations: steps in all, or None.
+        epochs: passes over the training views, or None.
+        minutes: wall-clock budget, or None. Exactly one of the three is set.
+        validation_views: training views kept aside for progress figures.
+        seed: seeds weights, the order of views and the random windows.
+        device: "cpu" or "cuda".
+        bf16: run the network and the loss in bfloat16.
+        cache_gib: memory for fragments and images of training views, GiB.
+    """
+
+    preset: str
+    model: ModelConfig
+    stages: tuple[Stage, ...]
+    start: Start = "fit"
+    perceptual: str = "none"
+    zoom: float = 1.0
+    window: float = 1.0
+    iterations: int | None = None
+    epochs: int | None = None
+    minutes: float | None = None
+    validation_views: int = 2
+    seed: int = 0
+    device: str = "cpu"
+    bf16: bool = False
+    cache_gib: float = 4.0
+
+    def __post_init__(self) -> None:
+        if sum(budget is not None for budget in (self.iterations, self.epochs, self.minutes)) > 1:
+            raise ValueError("give one of iterations, epochs and minutes")
+
+
+NETWORK = (16, 32, 64, 128, 256)
+VGG_TO_RELU3 = "vgg19:relu1_2,relu2_2,relu3_1"
+
+# The ladder is trained alike, so that a rung differs from the one before by what its name says.
+_ladder_stages = (
+    Stage(0.6, network=True),
+    Stage(0.4, network=True, perceptual=1.0, network_rate=5e-4, descriptor_rate=0.01),
+)
+_npbg = ModelConfig(degree=0, faces=False, point_radius=None, point_weight=False, widths=NETWORK)
+_radius = replace(_npbg, point_radius=0.006, point_weight=True)
+_mesh = replace(_radius, faces=True)
+_directional = replace(_mesh, degree=2)
+_split = replace(_directional, layers=2)
+
+
+def _rung(name: str, model: ModelConfig) -> TrainConfig:
+    return TrainConfig(name, model, _ladder_stages, start="mean", perceptual=VGG_TO_RELU3)
+
+
+_colour_mesh = ModelConfig(degree=2, features=3, points=False, widths=(), colour_skip=True)
+
+PRESETS: dict[str, TrainConfig] = {
+    preset.preset: preset
+    for preset in (
+        TrainConfig("colours", replace(_colour_mesh, degree=0), (), start="mean"),
+        TrainConfig("mesh", _colour_mesh, (Stage(1.0, network=False),)),
+        _rung("npbg", _npbg),
+        _rung("npbg-radius", _radius),
+        _rung("npbg-mesh", _mesh),
+        _rung("directional", _directional),
+        _rung("split", _split),
+        TrainConfig(
+            "paper",
+            _split,
+            (
+                Stage(
+                    1.0,
+                    network=True,
+                    perceptual=1.0,
+                    l1=0.0,
+                    descriptor_rate=0.1,
+                    network_rate=1e-4,
+                    decay=False,
+                ),
+            ),
+            start="zeros",
+            perceptual="vgg19",
+            zoom=2.0,
+            window=0.5,
+            epochs=100,
+        ),
+        TrainConfig(
+            "nmbg",
+            replace(
+                _directional,
+                points=False,
+                colour_skip=True,
+                norm="none",
+                mask_channel=True,
+                widths=(16, 32, 64, 128),
+            ),
+            (
+                Stage(0.2, network=False),
+                Stage(0.4, network=True, descriptor_rate=0.005),
+                Stage(0.4, network=True, perceptual=0.5, descriptor_rate=0.003, network_rate=5e-4),
+            ),
+            perceptual=VGG_TO_RELU3,
+            minutes=15,
+        ),
+    )
+}

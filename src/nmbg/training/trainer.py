@@ -1,0 +1,233 @@
+"""The training loop."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType
+
+import torch
+from torch import Tensor
+
+from nmbg.atomic import atomic_folder
+from nmbg.errors import NmbgError
+from nmbg.losses import Perceptual, l1
+from nmbg.model.renderer import Renderer
+from nmbg.progress import console, progress_bar
+from nmbg.scene import Scene, View
+from nmbg.training import checkpoint
+from nmbg.training.budget import Budget, Clock
+from nmbg.training.checkpoint import Progress
+from nmbg.training.config import Stage, TrainConfig
+from nmbg.training.log import Log
+from nmbg.training.optimiser import Optimiser
+from nmbg.training.start import fitted_colours, mean_colours
+from nmbg.training.views import Example, Views
+
+REPORTS = 20  # progress figures in a run
+SAVE_EVERY = 300.0  # seconds
+
+
+def train(
+    scene: Scene, config: TrainConfig, run: Path, weights: Path | None = None, overwrite: bool = False
+) -> Path:
+    """Train a scene from the start.
+
+    Args:
+        scene: the scene; only its training views are read.
+        config: a preset with a budget.
+        run: folder to write; it appears with the first checkpoint.
+        weights: folder of pretrained weights for L_rec.
+        overwrite: replace an existing run.
+
+    Returns:
+        the run folder.
+
+    Raises:
+        NmbgError: what is wrong with the scene, the weights or the folder, and the remedy.
+        KeyboardInterrupt: interrupted; a checkpoint was saved.
+    """
+    clock = Clock()
+    perceptual = _perceptual(config, weights)
+    with atomic_folder(run, overwrite) as temporary:
+        renderer = checkpoint.build_renderer(scene, config)
+        training, validation = _views(scene, config, renderer)
+        if config.start == "mean":
+            renderer.set_colours(mean_colours(renderer))
+        elif config.start == "fit":
+            renderer.set_colours(fitted_colours(renderer, training))
+        checkpoint.save_config(temporary, scene, config)
+        checkpoint.save_checkpoint(temporary, renderer, Progress(seconds=clock.seconds))
+    _fit(config, run, renderer, perceptual, training, validation, Progress(), clock)
+    return run
+
+
+def resume(run: Path, weights: Path | None = None) -> Path:
+    """Continue an interrupted run; in iterations or epochs, to the bit what it would have been.
+
+    Args:
+        run: run folder.
+        weights: folder of pretrained weights for L_rec.
+
+    Returns:
+        the run folder.
+
+    Raises:
+        NmbgError: the folder or its checkpoint is missing or damaged.
+        KeyboardInterrupt: interrupted; a checkpoint was saved.
+    """
+    folder, config = checkpoint.load_config(run)
+    found = checkpoint.latest_checkpoint(run)
+    if found is None:
+        raise NmbgError(f"{run}: no checkpoint to resume from; train it anew with --overwrite")
+    state = checkpoint.load_progress(found)
+    clock = Clock(state.seconds)
+    perceptual = _perceptual(config, weights)
+    scene = Scene.load(folder)
+    renderer = checkpoint.build_renderer(scene, config)
+    checkpoint.load_model(found, renderer)
+    training, validation = _views(scene, config, renderer)
+    _fit(config, run, renderer, perceptual, training, validation, state, clock)
+    return run
+
+
+def _fit(
+    config: TrainConfig,
+    run: Path,
+    renderer: Renderer,
+    perceptual: Perceptual | None,
+    training: Views,
+    validation: Views,
+    state: Progress,
+    clock: Clock,
+) -> None:
+    """Run the stages from `state` to the end of the budget, or until interrupted."""
+    budget = Budget(config, len(training), clock)
+    step, optimiser, progress = state.step, None, budget.progress(state.step)
+    saved, stage_index = clock.seconds, state.stage
+    renderer.train()
+    with Log(run, step) as log, _interruptible() as interrupted, progress_bar() as bar:
+        task = bar.add_task(f"training {config.preset}", total=100, completed=100 * progress)
+        while progress < 1 and not interrupted:
+            index, done = budget.stage(progress)
+            stage = config.stages[index]
+            if optimiser is None or index != stage_index:
+                optimiser = Optimiser(renderer, stage)
+                if index == state.stage and state.optimiser is not None:
+                    optimiser.load_state_dict(state.optimiser)
+                stage_index, state = index, replace(state, optimiser=None)
+            example = _draw(training, config, step)
+            with torch.autocast(config.device, torch.bfloat16, enabled=config.bf16):
+                terms = _loss(renderer, stage, perceptual, example)
+            loss = terms["loss"]
+            if not torch.isfinite(loss):
+                raise NmbgError(f"{example.name}: the loss is not finite at step {step}; go on with --resume")
+            optimiser.step(loss, done)
+            step += 1
+
+            report = int(REPORTS * progress)
+            progress = budget.progress(step)
+            bar.update(task, completed=100 * progress)
+            if int(REPORTS * progress) > report or progress >= 1:
+                figures = {name: value.item() for name, value in terms.items()}
+                if len(validation):
+                    figures["validation_psnr"] = _validate(renderer, validation, stage)
+                log.write(step, seconds=clock.seconds, progress=progress, stage=index, **figures)
+            if clock.seconds - saved > SAVE_EVERY:
+                saved = clock.seconds
+                _save(run, renderer, step, clock, stage_index, optimiser)
+    if optimiser is not None:
+        _save(run, renderer, step, clock, stage_index, optimiser)
+    if interrupted:
+        console.print(f"interrupted at step {step}; go on with: nmbg train --resume --output {run}")
+        raise KeyboardInterrupt
+
+
+def _save(run: Path, renderer: Renderer, step: int, clock: Clock, stage: int, optimiser: Optimiser) -> None:
+    checkpoint.save_checkpoint(run, renderer, Progress(step, clock.seconds, stage, optimiser.state_dict()))
+
+
+def _perceptual(config: TrainConfig, weights: Path | None) -> Perceptual | None:
+    if config.perceptual == "none" or not any(stage.perceptual for stage in config.stages):
+        return None
+    return Perceptual(config.perceptual, weights).to(config.device)
+
+
+def _views(scene: Scene, config: TrainConfig, renderer: Renderer) -> tuple[Views, Views]:
+    """Training views, and those of them that are kept aside, spread evenly over the names."""
+    views = scene.train
+    aside = min(config.validation_views, len(views) - 1)
+    chosen = {round((i + 0.5) * len(views) / aside) for i in range(aside)}
+
+    def pick(which: bool) -> tuple[View, ...]:
+        return tuple(view for i, view in enumerate(views) if (i in chosen) is which)
+
+    cache = 0.0 if config.zoom > 1 or config.window < 1 else config.cache_gib
+    training = Views(scene, pick(False), renderer.rasterize, cache)
+    return training, Views(scene, pick(True), renderer.rasterize, config.cache_gib)
+
+
+def _draw(views: Views, config: TrainConfig, step: int) -> Example:
+    """The example of a step: a function of seed and step alone, so that a resumed run draws the same."""
+    epoch, position = divmod(step, len(views))
+    generator = torch.Generator().manual_seed(config.seed * 1_000_003 + epoch)
+    i = int(torch.randperm(len(views), generator=generator)[position])
+    if config.zoom == 1 and config.window == 1:
+        return views.frame(i)
+    generator.manual_seed(config.seed * 1_000_003 + step)
+    return views.window(i, config.window, config.zoom, generator)
+
+
+def _loss(
+    renderer: Renderer, stage: Stage, perceptual: Perceptual | None, example: Example
+) -> dict[str, Tensor]:
+    """The stage's loss and its terms."""
+    render = renderer if stage.network else renderer.colour
+    image: Tensor = render(example.fragments, example.camera)[None]
+    target = (example.image.to(image.device) / 255)[None]
+    mask = None if example.mask is None else example.mask.to(image.device)[None, None].float()
+    terms = {"l1": l1(image, target, mask)}
+    terms["loss"] = stage.l1 * terms["l1"]
+    if stage.perceptual and perceptual is not None:
+        with torch.no_grad():
+            wanted = perceptual.features(target)
+        terms["perceptual"] = perceptual.distance(perceptual.features(image), wanted, mask)
+        terms["loss"] = terms["loss"] + stage.perceptual * terms["perceptual"]
+    return terms
+
+
+@torch.no_grad()
+def _validate(renderer: Renderer, views: Views, stage: Stage) -> float:
+    """Mean PSNR over the training views kept aside, dB."""
+    renderer.eval()
+    total = 0.0
+    for i in range(len(views)):
+        example = views.frame(i)
+        render = renderer if stage.network else renderer.colour
+        image = render(example.fragments, example.camera).clamp(0, 1).cpu()
+        error = (image - example.image / 255) ** 2
+        if example.mask is not None:
+            error = error * example.mask
+        total += -10 * float(torch.log10(error.mean().clamp_min(1e-10)))
+    renderer.train()
+    return total / len(views)
+
+
+@contextmanager
+def _interruptible() -> Iterator[list[int]]:
+    """Collect SIGINT and SIGTERM instead of dying in the middle of a step; a second one kills."""
+    caught: list[int] = []
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        caught.append(number)
+        signal.signal(number, signal.SIG_DFL)
+
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield caught
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

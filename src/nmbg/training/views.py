@@ -1,0 +1,122 @@
+"""Training examples: what a view sees and what its photograph shows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from nmbg.cameras import Camera
+from nmbg.model.fragments import LayerFragments
+from nmbg.scene import Scene, View
+
+GIB = 2**30
+
+
+@dataclass(frozen=True)
+class Example:
+    """A camera, its fragments, and the photograph.
+
+    Args:
+        name: of the view.
+        camera: the window that is trained on.
+        fragments: per layer.
+        image: [3, H, W] uint8.
+        mask: [H, W] bool, or None when every pixel counts.
+    """
+
+    name: str
+    camera: Camera
+    fragments: list[LayerFragments]
+    image: Tensor
+    mask: Tensor | None
+
+    @property
+    def nbytes(self) -> int:
+        """Memory held, bytes."""
+        mask = 0 if self.mask is None else self.mask.nbytes
+        return self.image.nbytes + mask + sum(layer.nbytes for layer in self.fragments)
+
+
+class Views:
+    """Examples of a scene's views, kept up to a limit; beyond it they are made anew, with the same numbers.
+
+    Args:
+        scene: the scene.
+        views: which of its views.
+        rasterize: camera → fragments.
+        cache_gib: memory for whole-frame examples, GiB.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        views: tuple[View, ...],
+        rasterize: Callable[[Camera], list[LayerFragments]],
+        cache_gib: float,
+    ) -> None:
+        self.scene, self.views, self.rasterize = scene, views, rasterize
+        self._free = int(cache_gib * GIB)
+        self._cache: dict[int, Example] = {}
+
+    def __len__(self) -> int:
+        return len(self.views)
+
+    def frame(self, i: int) -> Example:
+        """The whole frame of view i."""
+        if i in self._cache:
+            return self._cache[i]
+        view = self.views[i]
+        example = self._example(view.name, view.camera, *self._load(view))
+        if example.nbytes <= self._free:
+            self._free -= example.nbytes
+            self._cache[i] = example
+        return example
+
+    def window(self, i: int, share: float, zoom: float, generator: torch.Generator) -> Example:
+        """A random window of view i, zoomed by a random factor in [1, zoom], resampled bilinearly.
+
+        The camera moves with the window exactly, so photograph and geometry stay aligned to the pixel.
+
+        Args:
+            i: view.
+            share: the window's sides as a share of the image's, after zooming.
+            zoom: largest zoom.
+            generator: source of the random numbers.
+        """
+        view = self.views[i]
+        factor, fx, fy = torch.rand(3, generator=generator).tolist()
+        scale = 1 + (zoom - 1) * factor
+        camera = view.camera
+        width, height = max(1, round(share * camera.width)), max(1, round(share * camera.height))
+        # A window of `size` pixels at `scale` covers size / scale pixels of the photograph.
+        x0 = fx * (camera.width - width / scale)
+        y0 = fy * (camera.height - height / scale)
+        moved = camera.cropped(x0, y0, camera.width, camera.height).scaled(scale, scale, width, height)
+        image, mask = self._load(view)
+        image = _resample(image.float(), x0, y0, scale, width, height).round().to(torch.uint8)
+        if mask is not None:
+            mask = _resample(mask[None].float(), x0, y0, scale, width, height)[0] > 0.5
+        return self._example(view.name, moved, image, mask)
+
+    def _load(self, view: View) -> tuple[Tensor, Tensor | None]:
+        image = torch.from_numpy(self.scene.load_image(view)).permute(2, 0, 1).contiguous()
+        mask = self.scene.load_mask(view)
+        return image, None if mask is None else torch.from_numpy(mask)
+
+    def _example(self, name: str, camera: Camera, image: Tensor, mask: Tensor | None) -> Example:
+        return Example(name, camera, self.rasterize(camera), image, mask)
+
+
+def _resample(image: Tensor, x0: float, y0: float, scale: float, width: int, height: int) -> Tensor:
+    """Bilinear window of [C, H, W]: output pixel centre p shows (p / scale + corner)."""
+    _, h, w = image.shape
+    x = (torch.arange(width) + 0.5) / scale + x0
+    y = (torch.arange(height) + 0.5) / scale + y0
+    grid = torch.stack(torch.meshgrid(2 * x / w - 1, 2 * y / h - 1, indexing="xy"), dim=-1)
+    out = torch.nn.functional.grid_sample(
+        image[None], grid[None].to(image.dtype), padding_mode="border", align_corners=False
+    )
+    return out[0]
