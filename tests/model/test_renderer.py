@@ -1,0 +1,121 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from nmbg.cameras import Camera
+from nmbg.mesh import Mesh
+from nmbg.model.config import ModelConfig
+from nmbg.model.renderer import Renderer
+from nmbg.ops import rasterize_faces, rasterize_points, shade_faces, shade_points
+
+COLOUR = ModelConfig(degree=2, features=3, points=False, widths=(), colour_skip=True)
+NETWORK = ModelConfig(degree=1, features=4, widths=(12, 24, 36), norm="none", mask_channel=True)
+
+
+def randomised(renderer: Renderer) -> Renderer:
+    torch.manual_seed(1)
+    for parameter in renderer.parameters():
+        torch.nn.init.normal_(parameter, std=0.3)
+    return renderer
+
+
+def test_colour_equals_shading_the_whole_mesh(bumpy: Mesh, camera: Camera) -> None:
+    """Fragments are renumbered to what a view sees; the picture must not know."""
+    renderer = randomised(Renderer(COLOUR, [bumpy]))
+    faces = torch.from_numpy(bumpy.faces)
+    face, bary = rasterize_faces(camera.project(torch.from_numpy(bumpy.vertices)), faces, 30, 43)
+    coeffs = renderer.descriptors[0].coeffs.view(-1, 9, 3)
+    expected = shade_faces(face, bary, faces, camera.rays(), coeffs) + 0.5
+    torch.testing.assert_close(renderer(renderer.rasterize(camera), camera), expected)
+
+
+def test_pyramid_equals_every_level_shaded_alone(bumpy: Mesh, camera: Camera) -> None:
+    config = replace(NETWORK, mask_channel=False)
+    descriptors = randomised(Renderer(config, [bumpy])).descriptors[0]
+    (fragments,) = Renderer(config, [bumpy]).rasterize(camera)
+    padded, vertices = camera.padded(4), torch.from_numpy(bumpy.vertices)
+    radius = 0.006 * padded.height / 2
+    assert (padded.width, padded.height) == (44, 32)
+    coeffs = descriptors.coeffs.view(-1, 4, 4)
+    for k, image in enumerate(descriptors.pyramid(fragments, 3, slice(None))):
+        level = padded.level(k)
+        index, dist2 = rasterize_points(level.project(vertices), radius, level.height, level.width)
+        face, bary = rasterize_faces(
+            level.project(vertices), torch.from_numpy(bumpy.faces), level.height, level.width
+        )
+        points = shade_points(index, 1 - dist2 / radius**2, level.rays(), coeffs)
+        through_faces = shade_faces(face, bary, torch.from_numpy(bumpy.faces), level.rays(), coeffs)
+        torch.testing.assert_close(image[0], torch.cat([through_faces, points]))
+
+
+def test_network_starts_as_the_colour_it_adds_to(bumpy: Mesh, camera: Camera) -> None:
+    renderer = Renderer(replace(NETWORK, colour_skip=True), [bumpy])
+    torch.nn.init.normal_(renderer.descriptors[0].coeffs)
+    fragments = renderer.rasterize(camera)
+    torch.testing.assert_close(renderer(fragments, camera), renderer.colour(fragments, camera))
+
+
+def test_gradient_reaches_only_what_the_view_sees(bumpy: Mesh, camera: Camera) -> None:
+    renderer = randomised(Renderer(NETWORK, [bumpy]))
+    narrow = camera.cropped(15, 10, 8, 6)
+    fragments = renderer.rasterize(narrow)
+    renderer(fragments, narrow).sum().backward()
+    gradient = renderer.descriptors[0].coeffs.grad
+    assert gradient is not None
+    assert gradient.is_sparse
+    assert 0 < gradient._nnz() < len(bumpy.vertices) / 2
+
+
+def test_supersampling_averages_the_samples(bumpy: Mesh, camera: Camera) -> None:
+    fine = randomised(Renderer(replace(COLOUR, supersample=3), [bumpy]))
+    plain = randomised(Renderer(COLOUR, [bumpy]))
+    large = camera.resized(3 * camera.width, 3 * camera.height)
+    expected = torch.nn.functional.avg_pool2d(plain(plain.rasterize(large), large), 3)
+    torch.testing.assert_close(fine(fine.rasterize(camera), camera), expected)
+
+
+def test_foreground_hides_background(bumpy: Mesh, camera: Camera) -> None:
+    behind = replace(bumpy, vertices=bumpy.vertices * 2 + np.float32([0, 0, 2]))
+    renderer = randomised(Renderer(replace(COLOUR, layers=2), [bumpy, behind]))
+    alone = [Renderer(COLOUR, [mesh]) for mesh in (bumpy, behind)]
+    for single, descriptors in zip(alone, renderer.descriptors, strict=True):
+        single.descriptors[0].load_state_dict(descriptors.state_dict())
+    front, back = (single(single.rasterize(camera), camera) for single in alone)
+    covered = alone[0].rasterize(camera)[0].levels[0].face >= 0
+    assert 0 < covered.float().mean() < 1
+    expected = torch.where(covered, front, back)
+    torch.testing.assert_close(renderer(renderer.rasterize(camera), camera), expected)
+
+
+@pytest.mark.parametrize("size", [(43, 30), (1, 1), (64, 48)])
+def test_render_any_size_is_an_image(bumpy: Mesh, camera: Camera, size: tuple[int, int]) -> None:
+    renderer = randomised(Renderer(NETWORK, [bumpy]))
+    image = renderer.render(camera.resized(*size))
+    assert image.shape == (3, size[1], size[0])
+    assert image.dtype == torch.float32
+    assert image.min() >= 0
+    assert image.max() <= 1
+    assert image.isfinite().all()
+
+
+def test_looking_away_is_plain(bumpy: Mesh, camera: Camera) -> None:
+    away = replace(camera, R=np.diag([1.0, -1.0, -1.0]), t=np.array([0.0, 0, -3]))
+    image = Renderer(COLOUR, [bumpy]).render(away)
+    torch.testing.assert_close(image, torch.full((3, 30, 43), 0.5))
+
+
+def test_config_refuses_nonsense() -> None:
+    with pytest.raises(ValueError, match="faces, points or both"):
+        ModelConfig(faces=False, points=False)
+    with pytest.raises(ValueError, match="without a network"):
+        ModelConfig(widths=())
+    with pytest.raises(ValueError, match="colour_skip needs"):
+        ModelConfig(colour_skip=True, features=2)
+
+
+@pytest.mark.parametrize(("size", "radius"), [((1920, 1080), 3.24), ((976, 544), 1.632), ((1600, 1200), 3.6)])
+def test_point_radius_of_the_paper(size: tuple[int, int], radius: float) -> None:
+    assert ModelConfig().radius_px(*size) == pytest.approx(radius)
+    assert ModelConfig(point_radius=None).radius_px(*size) == 0.5

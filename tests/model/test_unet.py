@@ -1,0 +1,46 @@
+import pytest
+import torch
+
+from nmbg.model.unet import UNet
+
+WIDTHS = (16, 32, 64, 128, 256)
+
+
+def count(module: torch.nn.Module) -> int:
+    return sum(parameter.numel() for parameter in module.parameters())
+
+
+@pytest.mark.parametrize(("layers", "channels", "parameters"), [(2, 16, 6_142_851), (1, 8, 1_928_771)])
+def test_parameter_counts_of_the_papers(layers: int, channels: int, parameters: int) -> None:
+    assert count(UNet(layers, channels, WIDTHS, "batch", zero_start=False)) == parameters
+
+
+def test_every_input_reaches_the_image() -> None:
+    torch.manual_seed(0)
+    net = UNet(2, 5, (8, 16, 24), "none", zero_start=False)
+    pyramids = [[torch.randn(1, 5, 16 >> k, 24 >> k, requires_grad=True) for k in range(3)] for _ in range(2)]
+    image = net(pyramids)
+    assert image.shape == (1, 3, 16, 24)
+    image.square().sum().backward()
+    for layer in pyramids:
+        for level in layer:
+            assert level.grad is not None
+            assert level.grad.abs().amax() > 0
+
+
+def test_zero_start_is_black_until_trained() -> None:
+    net = UNet(1, 4, (8, 16), "none", zero_start=True)
+    image = net([[torch.randn(1, 4, 8, 8), torch.randn(1, 4, 4, 4)]])
+    assert torch.equal(image, torch.zeros(1, 3, 8, 8))
+
+
+def test_gated_block_is_elu_times_sigmoid() -> None:
+    from nmbg.model.unet import GatedConv
+
+    torch.manual_seed(0)
+    block = GatedConv(3, 4)
+    x = torch.randn(1, 3, 6, 7)
+    value = torch.nn.functional.conv2d(x, block.conv.weight[:4], block.conv.bias[:4], padding=1)
+    gate = torch.nn.functional.conv2d(x, block.conv.weight[4:], block.conv.bias[4:], padding=1)
+    expected = torch.nn.functional.elu(value) * torch.sigmoid(gate)
+    torch.testing.assert_close(block(x), expected)

@@ -1,0 +1,173 @@
+"""What all ops promise: torch.library's rules, the same bits for any number of threads, errors for bad input."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from nmbg import _core
+from nmbg.ops import rasterize_faces, rasterize_points, reference, shade_faces, shade_points
+
+H, W = 90, 120
+
+
+@pytest.fixture
+def scene(random_scene, unit_rays):
+    h, faces = random_scene(0, H, W, vertices=9000, faces=9000, dtype=torch.float32)
+    index, dist2 = rasterize_points(h, 1.63, H, W)
+    face, bary = rasterize_faces(h, faces, H, W)
+    coeffs = torch.randn(9000, 9, 8, generator=torch.Generator().manual_seed(1))
+    return {
+        "rasterize_points": (rasterize_points, [h, 1.63, H, W]),
+        "rasterize_faces": (rasterize_faces, [h, faces, H, W]),
+        "shade_points": (
+            shade_points,
+            [index, 1 - dist2 / 1.63**2, unit_rays(1, H, W, torch.float32), coeffs],
+        ),
+        "shade_faces": (shade_faces, [face, bary, faces, unit_rays(1, H, W, torch.float32), coeffs]),
+        # Most pixels end in a few vertices: sums that another order would round differently.
+        "shade_crowded": (
+            shade_faces,
+            [face.clamp(max=3), bary, faces % 5, unit_rays(1, H, W, torch.float32), coeffs],
+        ),
+    }
+
+
+@pytest.mark.parametrize(
+    "name", ["rasterize_points", "rasterize_faces", "shade_points", "shade_faces", "shade_crowded"]
+)
+def test_same_bits_for_any_number_of_threads(scene, run_op, each_thread_count, name):
+    op, inputs = scene[name]
+    first, *others = each_thread_count(lambda: [x for group in run_op(op, inputs) for x in group])
+    assert any(x.numel() for x in first)
+    for _ in range(3):
+        for other in others:
+            for a, b in zip(first, other, strict=True):
+                assert torch.equal(a, b)
+        others = each_thread_count(lambda: [x for group in run_op(op, inputs) for x in group])
+
+
+def test_torch_library_contract(random_scene, unit_rays):
+    h, faces = random_scene(0, 7, 9)
+    index, dist2 = rasterize_points(h, 1.0, 7, 9)
+    face, bary = rasterize_faces(h, faces, 7, 9)
+    rays = unit_rays(0, 7, 9).requires_grad_()
+    coeffs = torch.randn(60, 4, 3, dtype=torch.float64, requires_grad=True)
+    grad = torch.randn(3, 7, 9, dtype=torch.float64)
+    grad_h = h.clone().requires_grad_()
+    points = (index, dist2[..., None].clone().requires_grad_(), None, rays, coeffs)
+    corners = (face, bary.clone().requires_grad_(), faces, rays, coeffs)
+    detached = [tuple(x if x is None else x.detach() for x in args) for args in (points, corners)]
+    ops = torch.ops.nmbg
+    calls = [
+        (ops.rasterize_points, (grad_h, 1.0, 7, 9)),
+        (ops.rasterize_points_backward, (h, 1.0, index, dist2)),
+        (ops.rasterize_faces, (grad_h, faces, 7, 9)),
+        (ops.rasterize_faces_backward, (h, faces, face, bary)),
+        (ops.shade, points),
+        (ops.shade, corners),
+        *[(ops.shade_backward_coeffs, (grad, *args)) for args in detached],
+        *[(ops.shade_backward_pixels, (grad, *args)) for args in detached],
+    ]
+    for op, arguments in calls:
+        torch.library.opcheck(op.default, arguments)
+
+
+def test_indices_are_not_differentiable(random_scene):
+    h, faces = random_scene(0, 7, 9)
+    h.requires_grad_()
+    for index, values in (rasterize_points(h, 1.0, 7, 9), rasterize_faces(h, faces, 7, 9)):
+        assert not index.requires_grad
+        assert values.requires_grad
+
+
+def int32(*rows):
+    return torch.tensor(rows, dtype=torch.int32)
+
+
+CORNERS = torch.tensor([[1.0, 1, 1], [5, 1, 1], [1, 5, 1]])
+TRIANGLE = int32([0, 1, 2])
+RAYS = torch.ones(2, 2, 3)
+BARY = torch.ones(2, 2, 3)
+NONE = torch.full((2, 2), -1, dtype=torch.int32)
+ONE = torch.zeros((2, 2), dtype=torch.int32)
+COEFFS = torch.ones(3, 4, 2)
+
+BAD = {
+    "face vertex above": (
+        lambda: rasterize_faces(CORNERS, int32([0, 1, 3]), 4, 4),
+        "faces: .* 0 to 2, got 3",
+    ),
+    "face vertex below": (lambda: rasterize_faces(CORNERS, int32([0, -1, 2]), 4, 4), "faces: .*got -1"),
+    "faces without vertices": (lambda: rasterize_faces(CORNERS[:0], TRIANGLE, 4, 4), "faces: .*got 0"),
+    "faces of int64": (lambda: rasterize_faces(CORNERS, TRIANGLE.long(), 4, 4), "faces: .*int32.*int64"),
+    "faces of 4": (lambda: rasterize_faces(CORNERS, int32([0, 1, 2, 0]), 4, 4), r"faces: .*\[1, 4\]"),
+    "h of half": (lambda: rasterize_faces(CORNERS.half(), TRIANGLE, 4, 4), "h: .*float16"),
+    "h of int": (lambda: rasterize_points(CORNERS.int(), 1.0, 4, 4), "h: .*int32"),
+    "h of 2 columns": (lambda: rasterize_points(CORNERS[:, :2], 1.0, 4, 4), r"h: .*\[3, 2\]"),
+    "h of one axis": (lambda: rasterize_points(CORNERS[0], 1.0, 4, 4), r"h: .*\[3\]"),
+    "no rows": (lambda: rasterize_points(CORNERS, 1.0, 0, 4), "height 0"),
+    "negative width": (lambda: rasterize_faces(CORNERS, TRIANGLE, 4, -4), "width -4"),
+    "huge image": (lambda: rasterize_faces(CORNERS, TRIANGLE, 2**16, 2**16), "height 65536 and width 65536"),
+    "radius zero": (lambda: rasterize_points(CORNERS, 0.0, 4, 4), "radius_px: .*0.0"),
+    "radius nan": (lambda: rasterize_points(CORNERS, float("nan"), 4, 4), "radius_px: .*nan"),
+    "point above": (lambda: shade_points(ONE + 3, BARY[..., 0], RAYS, COEFFS), "index: .*-1 to 2, got 3"),
+    "point below": (lambda: shade_points(ONE - 2, BARY[..., 0], RAYS, COEFFS), "index: .*got -2"),
+    "face above": (lambda: shade_faces(ONE + 1, BARY, TRIANGLE, RAYS, COEFFS), "index: .*-1 to 0, got 1"),
+    "corner above": (lambda: shade_faces(ONE, BARY, TRIANGLE + 1, RAYS, COEFFS), "faces: .*got 3"),
+    "rays of double": (lambda: shade_faces(ONE, BARY, TRIANGLE, RAYS.double(), COEFFS), "rays: .*float32"),
+    "rays of another size": (
+        lambda: shade_faces(ONE, BARY, TRIANGLE, RAYS[:1], COEFFS),
+        r"rays: .*\[1, 2, 3\]",
+    ),
+    "two weights": (
+        lambda: shade_faces(ONE, BARY[..., :2], TRIANGLE, RAYS, COEFFS),
+        r"weight: .*\[2, 2, 2\]",
+    ),
+    "5 functions": (lambda: shade_faces(NONE, BARY, TRIANGLE, RAYS, torch.ones(3, 5, 2)), "1, 4 or 9 .*5"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_an_error_that_says_what_came(case):
+    call, message = BAD[case]
+    with pytest.raises((TypeError, ValueError), match=message):
+        call()
+
+
+def test_backward_checks_indices_too(random_scene):
+    h, faces = random_scene(0, 4, 4)
+    grad = torch.ones(4, 4, 3, dtype=torch.float64)
+    beyond = torch.full((4, 4), 80, dtype=torch.int32)
+    with pytest.raises(ValueError, match="face: .*got 80"):
+        torch.ops.nmbg.rasterize_faces_backward(h, faces, beyond, grad)
+    with pytest.raises(ValueError, match="index: .*got 80"):
+        torch.ops.nmbg.rasterize_points_backward(h, 1.0, beyond, grad[..., 0].contiguous())
+
+
+def test_the_twins_have_the_same_signatures():
+    import inspect
+
+    for op in (rasterize_points, rasterize_faces, shade_points, shade_faces):
+        twin = getattr(reference, op.__name__)
+        assert inspect.signature(op) == inspect.signature(twin)
+
+
+def test_threads_must_be_positive():
+    with pytest.raises(ValueError, match="threads: .*0"):
+        _core.rasterize_points(CORNERS.numpy(), 1.0, 2, 2, 0)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+@pytest.mark.skipif(not _core.openmp, reason="built without OpenMP")
+def test_the_process_has_one_openmp_runtime():
+    code = (
+        "import nmbg.ops, pathlib;"
+        "print(len({line.split()[-1] for line in pathlib.Path('/proc/self/maps').read_text().splitlines()"
+        " if 'omp' in line.rsplit('/', 1)[-1] and '.so' in line}))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "1"

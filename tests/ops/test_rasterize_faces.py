@@ -1,0 +1,232 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from nmbg.cameras import Camera
+from nmbg.ops import face_depth, rasterize_faces, reference
+
+DTYPES = (torch.float32, torch.float64)
+
+
+def int32(rows) -> Tensor:
+    return torch.tensor(rows, dtype=torch.int32).reshape(-1, 3)
+
+
+def flat(uv, z: float = 1.0, dtype: torch.dtype = torch.float64) -> Tensor:
+    """Homogeneous pixels of image points at one depth."""
+    uv = torch.as_tensor(uv, dtype=dtype)
+    return torch.cat([uv * z, torch.full_like(uv[:, :1], z)], 1)
+
+
+def look(rotation=None, width=48, height=32, focal=30.0, t=(0.0, 0.0, 0.0)) -> Camera:
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    return Camera(K, np.eye(3) if rotation is None else rotation, np.array(t), width, height)
+
+
+def random_rotation(seed: int):
+    q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.sign(np.linalg.det(q))
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("seed", range(8))
+def test_agrees_with_the_twin(assert_same, random_scene, dtype, seed):
+    h, faces = random_scene(seed, 37, 53, dtype=dtype)
+    assert_same(rasterize_faces, reference.rasterize_faces, [h, faces, 37, 53])
+
+
+def test_gradient_is_the_derivative(random_scene):
+    h, faces = random_scene(3, 5, 6, vertices=9, faces=6)
+    assert (rasterize_faces(h, faces, 5, 6)[0] >= 0).sum() > 5
+
+    def bary(h: Tensor) -> Tensor:
+        return rasterize_faces(h, faces, 5, 6)[1]
+
+    assert torch.autograd.gradcheck(bary, h.requires_grad_(), eps=1e-8, atol=1e-4)
+
+
+def test_barycentrics_and_depth_are_perspective_correct():
+    camera = look()
+    vertices = torch.tensor([[-3.0, -2, 2], [4, -1, 7], [0.5, 3, 4]], dtype=torch.float64)
+    h = camera.project(vertices).requires_grad_()
+    faces = int32([0, 1, 2])
+    face, bary = rasterize_faces(h, faces, camera.height, camera.width)
+    seen = face == 0
+    assert seen.sum() > 50
+    hits = bary[seen] @ vertices
+    rays = camera.rays(torch.float64)[seen]
+    torch.testing.assert_close(torch.nn.functional.normalize(hits, dim=-1), rays)
+    depth = face_depth(face, bary, faces, h)
+    torch.testing.assert_close(depth[seen], hits[:, 2])
+    assert (depth[~seen] == 0).all()
+
+    def depth_of(h: Tensor) -> Tensor:
+        face, bary = rasterize_faces(h, faces, 8, 12)
+        return face_depth(face, bary, faces, h)
+
+    small = camera.resized(12, 8).project(vertices).requires_grad_()
+    assert torch.autograd.gradcheck(depth_of, small)
+
+
+@pytest.mark.parametrize("op", [rasterize_faces, reference.rasterize_faces])
+def test_a_pixel_belongs_to_the_triangle_that_holds_its_centre(op):
+    # Strictly inside: the centre (2.5, 1.5), that is column 2 of row 1, and no other.
+    face, bary = op(flat([[2.2, 1.2], [3.2, 1.4], [2.3, 2.1]]), int32([0, 1, 2]), 4, 5)
+    assert (face >= 0).nonzero().tolist() == [[1, 2]]
+    corners = bary[1, 2] @ torch.tensor([[2.2, 1.2], [3.2, 1.4], [2.3, 2.1]], dtype=torch.float64)
+    torch.testing.assert_close(corners, torch.tensor([2.5, 1.5], dtype=torch.float64))
+
+
+def grid_mesh(seed: int, columns: int, rows: int, on_centres: bool) -> tuple[Tensor, Tensor]:
+    """A triangulated grid, its diagonals and windings at random."""
+    g = np.random.default_rng(seed)
+    x, y = np.meshgrid(np.arange(columns + 1.0), np.arange(rows + 1.0))
+    uv = np.stack([x, y], -1).reshape(-1, 2) + 0.5
+    if not on_centres:
+        uv += g.uniform(-0.3, 0.3, uv.shape)
+    faces = []
+    for j in range(rows):
+        for i in range(columns):
+            a, b = j * (columns + 1) + i, j * (columns + 1) + i + 1
+            c, d = a + columns + 1, b + columns + 1
+            pair = [[a, b, d], [a, d, c]] if g.random() < 0.5 else [[a, b, c], [b, d, c]]
+            faces += [face[:: g.choice([-1, 1])] for face in pair]
+    return torch.tensor(uv), int32(faces)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("on_centres", [True, False])
+@pytest.mark.parametrize("seed", range(3))
+def test_pixels_on_edges_and_vertices_belong_to_exactly_one_face(dtype, on_centres, seed):
+    uv, faces = grid_mesh(seed, 9, 7, on_centres)
+    depth = torch.tensor(np.random.default_rng(seed).uniform(1, 3, (len(uv), 1)))
+    if on_centres and seed == 0:
+        depth = torch.ones_like(depth)
+    elif on_centres:
+        depth = 2.0 ** torch.tensor(
+            np.random.default_rng(seed).integers(0, 3, (len(uv), 1))
+        )  # exact products
+    h = torch.cat([uv * depth, depth], 1).to(dtype)
+    owners = sum((rasterize_faces(h, f[None], 8, 10)[0] == 0).int() for f in faces)
+    assert owners.max() == 1
+    assert (owners[1:7, 1:9] == 1).all()
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 10**6), subdivisions=st.integers(0, 3), jitter=st.floats(0, 0.3))
+def test_a_closed_mesh_seen_from_inside_leaves_no_empty_pixel(seed, subdivisions, jitter):
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions)
+    g = np.random.default_rng(seed)
+    vertices = ball.vertices * (1 + jitter * g.uniform(-1, 1, (len(ball.vertices), 1)))
+    camera = look(random_rotation(seed), width=40, height=30, focal=g.uniform(3, 60))
+    h = camera.project(torch.tensor(vertices, dtype=torch.float32))
+    face, _ = rasterize_faces(h, torch.tensor(ball.faces.astype(np.int32)), 30, 40)
+    assert (face >= 0).all()
+
+
+@pytest.mark.parametrize("op", [rasterize_faces, reference.rasterize_faces])
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+def test_the_ground_under_the_camera_fills_the_image_below_the_horizon(op, tilt):
+    # The horizon is at row 16, or where the tilted optical axis sees it; all four corners lie far away.
+    rotation = np.array(
+        [[1, 0, 0], [0, math.cos(tilt), -math.sin(tilt)], [0, math.sin(tilt), math.cos(tilt)]]
+    )
+    camera = look(rotation)
+    ground = torch.tensor([[-1e4, 1.5, -1e4], [1e4, 1.5, -1e4], [1e4, 1.5, 1e4], [-1e4, 1.5, 1e4]])
+    face, bary = op(camera.project(ground), int32([[0, 1, 2], [0, 2, 3]]), camera.height, camera.width)
+    down = camera.rays()[..., 1]
+    assert (face[down > 1e-3] >= 0).all()
+    assert (face[down < 0] == -1).all()
+    assert bary.isfinite().all()
+    assert bary.min() >= 0
+
+
+def test_nearest_wins_and_ties_go_to_the_lower_index():
+    square = [[1, 1], [9, 1], [9, 9], [1, 9]]
+    h = torch.cat([flat(square, 2.0), flat(square, 1.0), flat(square, 1.0), flat(square, 3.0)])
+    faces = int32([[4 * k + a, 4 * k + b, 4 * k + c] for k in range(4) for a, b, c in ((0, 1, 2), (0, 2, 3))])
+    face, _ = rasterize_faces(h, faces, 10, 10)
+    assert set(face.unique().tolist()) == {-1, 2, 3}
+    order = torch.tensor([0, 1, 4, 5, 2, 3, 6, 7])  # the two equal ones swapped
+    swapped, _ = rasterize_faces(h, faces[order], 10, 10)
+    assert torch.equal(swapped, face)
+
+
+def test_both_sides_of_a_face_are_drawn():
+    h = flat([[1, 1], [9, 2], [4, 8]])
+    one, _ = rasterize_faces(h, int32([0, 1, 2]), 10, 10)
+    other, _ = rasterize_faces(h, int32([0, 2, 1]), 10, 10)
+    assert (one == 0).sum() > 10
+    assert torch.equal(one, other)
+
+
+@pytest.mark.parametrize("op", [rasterize_faces, reference.rasterize_faces])
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_what_cannot_be_drawn_is_left_out(op, dtype):
+    h = flat([[1, 1], [9, 2], [4, 8]], dtype=dtype)
+    good = int32([0, 1, 2])
+    expected, _ = op(h, good, 10, 10)
+    bad = torch.tensor([math.nan, math.inf, -math.inf], dtype=dtype)
+    broken = torch.cat([h, h[:1] * 2, torch.diag(bad) + 1, -h])
+    broken[4:7][torch.eye(3) == 0] = 1
+    # Repeated vertices, collinear in space through the camera, not finite, behind the camera.
+    faces = int32([[0, 0, 1], [1, 1, 1], [0, 3, 1], [0, 1, 4], [0, 5, 2], [6, 1, 2], [7, 8, 9]])
+    assert (op(broken, faces, 10, 10)[0] == -1).all()
+    face, bary = op(broken, torch.cat([good, faces]), 10, 10)
+    assert torch.equal(face, expected)
+    assert bary.isfinite().all()
+
+
+def test_empty_inputs():
+    none = torch.zeros(0, 3)
+    for faces, h in ((int32([]), none), (int32([]), torch.ones(4, 3))):
+        for op in (rasterize_faces, reference.rasterize_faces):
+            face, bary = op(h.requires_grad_(), faces, 3, 4)
+            assert face.shape == (3, 4)
+            assert (face == -1).all()
+            assert (bary == 0).all()
+            assert (face_depth(face, bary, faces, h) == 0).all()
+        bary.sum().backward()
+
+
+@pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 65536), (65536, 1), (3, 2000), (17, 33)])
+def test_images_of_any_shape(height, width):
+    corners = flat([[-1, -1], [2 * width + 2, -1], [-1, 2 * height + 2]], dtype=torch.float32)
+    face, bary = rasterize_faces(corners, int32([0, 1, 2]), height, width)
+    assert (face == 0).all()
+    x = bary @ corners[:, :1]
+    torch.testing.assert_close(
+        x[..., 0], (torch.arange(width) + 0.5).expand(height, width), rtol=1e-5, atol=1e-4
+    )
+
+
+def test_views_that_are_not_contiguous_are_taken_as_they_are(random_scene):
+    h, faces = random_scene(0, 20, 30)
+    expected = rasterize_faces(h, faces, 20, 30)
+    face, bary = rasterize_faces(h.T.contiguous().T, faces.T.contiguous().T, 20, 30)
+    assert torch.equal(face, expected[0])
+    assert torch.equal(bary, expected[1])
+
+
+def test_agrees_with_an_independent_ray_caster():
+    ball = trimesh.creation.icosphere(subdivisions=7)  # 327,680 faces
+    g = np.random.default_rng(0)
+    vertices = ball.vertices * (1 + 0.002 * g.uniform(-1, 1, (len(ball.vertices), 1)))
+    mesh = trimesh.Trimesh(vertices, ball.faces, process=False)
+    caster = trimesh.ray.ray_pyembree.RayMeshIntersector(mesh)
+    camera = look(random_rotation(1), width=200, height=150, focal=140.0, t=(0.1, -0.2, 2.5))
+    h = camera.project(torch.tensor(vertices))
+    face, _ = rasterize_faces(h, torch.tensor(ball.faces.astype(np.int32)), camera.height, camera.width)
+    rays = camera.rays(torch.float64).reshape(-1, 3).numpy()
+    hit = caster.intersects_first(np.broadcast_to(camera.centre, rays.shape), rays)
+    assert (hit >= 0).mean() > 0.2
+    assert (face.flatten().numpy() == hit).mean() >= 0.9999

@@ -1,0 +1,179 @@
+import csv
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from nmbg.errors import NmbgError
+from nmbg.model.renderer import Renderer
+from nmbg.scene import Scene
+from nmbg.training import checkpoint
+from nmbg.training.config import PRESETS, TrainConfig
+from nmbg.training.trainer import resume, train
+
+# No weights are at hand in a test: L_rec is left out, everything else is as in the presets.
+SMALL = {
+    name: replace(
+        config, perceptual="none", minutes=None, epochs=None, iterations=0 if name == "colours" else 6
+    )
+    for name, config in PRESETS.items()
+}
+SMALL["paper"] = replace(SMALL["paper"], stages=(replace(PRESETS["paper"].stages[0], l1=1.0),))
+
+
+def state(run: Path) -> dict[str, torch.Tensor]:
+    found = checkpoint.latest_checkpoint(run)
+    assert found is not None
+    return checkpoint.load_file(found / "model.safetensors")
+
+
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_every_preset_trains_and_renders(scene_folder: Path, tmp_path: Path, name: str) -> None:
+    run = train(Scene.load(scene_folder), SMALL[name], tmp_path / "run")
+    loaded = checkpoint.load_run(run)
+    assert loaded.config == SMALL[name]
+    view = loaded.scene.test[0]
+    assert loaded.renderer.render(view.camera).isfinite().all()
+
+
+def test_mesh_training_improves_on_its_start(scene_folder: Path, tmp_path: Path) -> None:
+    config = replace(SMALL["mesh"], iterations=60, start="mean", validation_views=1)
+    run = train(Scene.load(scene_folder), config, tmp_path / "run")
+    with (run / "log.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert float(rows[-1]["l1"]) < 0.8 * float(rows[0]["l1"])
+    assert float(rows[-1]["validation_psnr"]) > float(rows[0]["validation_psnr"])
+
+
+@pytest.mark.parametrize("name", ["mesh", "nmbg", "paper"])
+@pytest.mark.parametrize("stop_at", [1, 4])
+def test_resumed_equals_uninterrupted(
+    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, stop_at: int
+) -> None:
+    config = SMALL[name]
+    whole = state(train(Scene.load(scene_folder), config, tmp_path / "whole"))
+
+    steps = 0
+    step = torch.Tensor.backward
+
+    def interrupt(self: torch.Tensor) -> None:
+        nonlocal steps
+        step(self)
+        steps += 1
+        if steps == stop_at:
+            signal.raise_signal(signal.SIGINT)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(torch.Tensor, "backward", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            train(Scene.load(scene_folder), config, tmp_path / "resumed")
+    assert steps == stop_at
+    resumed = state(resume(tmp_path / "resumed"))
+    assert whole.keys() == resumed.keys()
+    for key, tensor in whole.items():
+        assert torch.equal(tensor, resumed[key]), key
+
+
+def test_same_seed_same_run_and_another_seed_another(scene_folder: Path, tmp_path: Path) -> None:
+    scene = Scene.load(scene_folder)
+    runs = [
+        state(train(scene, replace(SMALL["nmbg"], seed=seed), tmp_path / str(i)))
+        for i, seed in enumerate([1, 1, 2])
+    ]
+    key = "network.encoders.0.start.conv.weight"
+    assert torch.equal(runs[0][key], runs[1][key])
+    assert not torch.equal(runs[0][key], runs[2][key])
+
+
+def test_without_a_cache_the_numbers_are_the_same(scene_folder: Path, tmp_path: Path) -> None:
+    scene = Scene.load(scene_folder)
+    cached = state(train(scene, SMALL["mesh"], tmp_path / "cached"))
+    anew = state(train(scene, replace(SMALL["mesh"], cache_gib=0.0), tmp_path / "anew"))
+    for key, tensor in cached.items():
+        assert torch.equal(tensor, anew[key]), key
+
+
+def test_test_views_are_never_read(
+    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load_image, read = Scene.load_image, set()
+
+    def spy(self: Scene, view: object) -> object:
+        read.add(view.split)  # type: ignore[attr-defined]
+        return load_image(self, view)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Scene, "load_image", spy)
+    train(Scene.load(scene_folder), SMALL["nmbg"], tmp_path / "run")
+    assert read == {"train"}
+
+
+def test_existing_run_is_kept(scene_folder: Path, tmp_path: Path) -> None:
+    scene = Scene.load(scene_folder)
+    train(scene, SMALL["colours"], tmp_path / "run")
+    with pytest.raises(NmbgError, match="overwrite"):
+        train(scene, SMALL["colours"], tmp_path / "run")
+    train(scene, SMALL["colours"], tmp_path / "run", overwrite=True)
+
+
+def test_failure_leaves_nothing(scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device", "somewhere")
+
+    monkeypatch.setattr(checkpoint, "save_checkpoint", fail)
+    with pytest.raises(OSError, match="No space"):
+        train(Scene.load(scene_folder), SMALL["colours"], tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nonfinite_loss_is_named(scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(self: Renderer, *_: object) -> torch.Tensor:
+        return torch.full((3, 48, 64), torch.nan)
+
+    monkeypatch.setattr(Renderer, "colour", broken)
+    with pytest.raises(NmbgError, match="not finite"):
+        train(Scene.load(scene_folder), SMALL["mesh"], tmp_path / "run")
+
+
+@pytest.fixture
+def run(scene_folder: Path, tmp_path: Path) -> Path:
+    config: TrainConfig = SMALL["mesh"]
+    return train(Scene.load(scene_folder), config, tmp_path / "run")
+
+
+@pytest.mark.parametrize("name", ["model.safetensors", "progress.json", "optimiser.pt"])
+@pytest.mark.parametrize("damage", [b"", b"not a checkpoint"])
+def test_damaged_checkpoint_is_named(run: Path, name: str, damage: bytes) -> None:
+    found = checkpoint.latest_checkpoint(run)
+    assert found is not None
+    (found / name).write_bytes(damage)
+    with pytest.raises(NmbgError, match=str(found)):
+        resume(run)
+
+
+def test_foreign_checkpoint_is_named(run: Path, scene_folder: Path, tmp_path: Path) -> None:
+    other = train(Scene.load(scene_folder), SMALL["colours"], tmp_path / "other")
+    ours, theirs = checkpoint.latest_checkpoint(run), checkpoint.latest_checkpoint(other)
+    assert ours is not None
+    assert theirs is not None
+    (ours / "model.safetensors").write_bytes((theirs / "model.safetensors").read_bytes())
+    with pytest.raises(NmbgError, match="another model or scene"):
+        checkpoint.load_run(run)
+
+
+@pytest.mark.parametrize("content", ["", "a: [", "scene: x\n", "- 1\n"])
+def test_damaged_config_is_named(run: Path, content: str) -> None:
+    (run / "config.yaml").write_text(content)
+    with pytest.raises(NmbgError, match=r"config\.yaml"):
+        checkpoint.load_run(run)
+
+
+def test_no_run_folder(tmp_path: Path) -> None:
+    with pytest.raises(NmbgError, match="not a run folder"):
+        checkpoint.load_run(tmp_path)
+
+
+def test_scene_and_run_move_together(run: Path, scene_folder: Path, tmp_path: Path) -> None:
+    before = checkpoint.load_config(run)[0]
+    assert before.resolve() == scene_folder.resolve()
