@@ -49,7 +49,7 @@ py::object backward(const py::array& h, const py::array& faces, const py::array&
             py::gil_scoped_release release;
             rasterize_faces_backward(view, face_data, grad_data, grad_h_data);
         }
-        return std::move(grad_h);
+        return grad_h;
     });
 }
 

@@ -44,7 +44,7 @@ py::object backward(const py::array& h, double radius, const py::array& index, c
             py::gil_scoped_release release;
             rasterize_points_backward(view, index_data, grad_data, grad_h_data);
         }
-        return std::move(grad_h);
+        return grad_h;
     });
 }
 

@@ -57,7 +57,7 @@ py::object forward(const py::array& index, const py::array& weight, const std::o
             py::gil_scoped_release release;
             shade(shading, out_data);
         }
-        return std::move(out);
+        return out;
     });
 }
 
@@ -74,7 +74,7 @@ py::object backward_coeffs(const py::array& grad_out, const py::array& index, co
             py::gil_scoped_release release;
             shade_backward_coeffs(shading, grad_data, grad_coeffs);
         }
-        return std::move(grad);
+        return grad;
     });
 }
 

@@ -21,8 +21,9 @@ class Bins {
     // need.
     template <class Visit>
     Bins(int64_t n, int64_t bins, int threads, const Visit& visit) : start_(bins + 1) {
-        threads =
-            static_cast<int>(std::clamp<int64_t>(n / 4096, 1, threads));  // fewer sources: not worth a thread
+        // Fewer sources are not worth a thread.
+        threads = static_cast<int>(std::clamp<int64_t>(n / 4096, 1, threads));
+
         std::vector<std::vector<int64_t>> cursor(threads);
         parallel_chunks(n, threads, [&](int64_t chunk, int64_t begin, int64_t end) {
             cursor[chunk].assign(bins, 0);

@@ -1,24 +1,22 @@
-// Checks of indices before they are followed.
+// Checks of indices when they are followed.
 #pragma once
 
 #include <cstdint>
 #include <stdexcept>
 #include <string>
 
-#include "core/parallel.h"
-
 namespace nmbg {
 
-// Throws std::invalid_argument unless lowest <= values[i] < end for all i.
-inline void check_indices(const char* name, const int32_t* values, int64_t n, int32_t lowest, int64_t end,
-                          int threads) {
-    parallel_blocks(n, threads, [&](int64_t begin, int64_t stop) {
-        for (int64_t i = begin; i < stop; ++i)
-            if (values[i] < lowest || values[i] >= end)
-                throw std::invalid_argument(std::string(name) + ": expected indices from " +
-                                            std::to_string(lowest) + " to " + std::to_string(end - 1) +
-                                            ", got " + std::to_string(values[i]));
-    });
+[[noreturn]] inline void refuse_index(const char* name, int32_t index, int32_t lowest, int64_t end) {
+    throw std::invalid_argument(std::string(name) + ": expected indices from " + std::to_string(lowest) +
+                                " to " + std::to_string(end - 1) + ", got " + std::to_string(index));
+}
+
+// The index itself if lowest <= index < end; throws std::invalid_argument otherwise.
+inline int32_t checked(const char* name, int32_t index, int32_t lowest, int64_t end) {
+    if (index < lowest || index >= end) [[unlikely]]
+        refuse_index(name, index, lowest, end);
+    return index;
 }
 
 }  // namespace nmbg

@@ -33,7 +33,8 @@ template <class T>
 Corners corners_of(const FacesView<T>& view, int64_t face) {
     Corners corners;
     for (int k = 0; k < 3; ++k) {
-        const T* h = view.h + 3 * int64_t{view.faces[3 * face + k]};
+        const int32_t vertex = checked("faces", view.faces[3 * face + k], 0, view.vertices);
+        const T* h = view.h + 3 * int64_t{vertex};
         corners[k] = {h[0], h[1], h[2]};
     }
     return corners;
@@ -122,7 +123,6 @@ struct Triangle {
 
 template <class T>
 void rasterize_faces(const FacesView<T>& view, int32_t* face, T* bary) {
-    check_indices("faces", view.faces, 3 * view.count, 0, view.vertices, view.threads);
     const Tiling tiling(view.height, view.width);
 
     std::vector<PixelBox> boxes(view.count);
@@ -186,11 +186,11 @@ void rasterize_faces(const FacesView<T>& view, int32_t* face, T* bary) {
 template <class T>
 void rasterize_faces_backward(const FacesView<T>& view, const int32_t* face, const T* grad_bary, T* grad_h) {
     const int64_t pixels = int64_t{view.height} * view.width;
-    check_indices("faces", view.faces, 3 * view.count, 0, view.vertices, view.threads);
-    check_indices("face", face, pixels, -1, view.count, view.threads);
     const auto corners = [&](int64_t pixel, std::array<int32_t, 3>& vertex) {
-        if (face[pixel] < 0) return false;
-        std::copy_n(view.faces + 3 * int64_t{face[pixel]}, 3, vertex.begin());
+        const int32_t f = checked("face", face[pixel], -1, view.count);
+        if (f < 0) return false;
+        for (int k = 0; k < 3; ++k)
+            vertex[k] = checked("faces", view.faces[3 * int64_t{f} + k], 0, view.vertices);
         return true;
     };
     ordered_scatter<3>(

@@ -8,12 +8,12 @@ namespace nmbg {
 // The problem. T is float or double; edges, depths and barycentrics are computed in double.
 template <class T>
 struct FacesView {
-    const T* h;             // [vertices, 3] homogeneous pixels (u z, v z, z)
-    const int32_t* faces;   // [count, 3] vertices of each face, checked before use
-    int64_t vertices;       //
+    const T* h;            // [vertices, 3] homogeneous pixels (u z, v z, z)
+    const int32_t* faces;  // [count, 3] vertices of each face
+    int64_t vertices;
     int64_t count;          // of faces
     int32_t height, width;  // of the image
-    int threads;            //
+    int threads;
 };
 
 // h, faces → boxes of pixels and the tiles they touch → per tile, in ascending order of face: test the

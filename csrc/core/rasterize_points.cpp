@@ -81,9 +81,8 @@ template <class T>
 void rasterize_points_backward(const PointsView<T>& view, const int32_t* index, const T* grad_dist2,
                                T* grad_h) {
     const int64_t pixels = int64_t{view.height} * view.width;
-    check_indices("index", index, pixels, -1, view.points, view.threads);
     const auto corners = [&](int64_t pixel, std::array<int32_t, 1>& vertex) {
-        vertex[0] = index[pixel];
+        vertex[0] = checked("index", index[pixel], -1, view.points);
         return vertex[0] >= 0;
     };
     ordered_scatter<1>(pixels, view.points, view.threads, corners, [&](int64_t pixel, int, int32_t point) {

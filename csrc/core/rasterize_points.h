@@ -8,11 +8,11 @@ namespace nmbg {
 // The problem. T is float or double.
 template <class T>
 struct PointsView {
-    const T* h;             // [points, 3] homogeneous pixels (u z, v z, z)
-    int64_t points;         //
+    const T* h;  // [points, 3] homogeneous pixels (u z, v z, z)
+    int64_t points;
     double radius;          // px; a point covers the pixels whose centre is strictly nearer than this
     int32_t height, width;  // of the image
-    int threads;            //
+    int threads;
 };
 
 // h → discs and the tiles they touch → per tile, in ascending order of point: test, keep the nearest z.

@@ -20,7 +20,7 @@ void ordered_scatter(int64_t pixels, int64_t vertices, int threads, const Corner
     const int64_t blocks = (vertices + block - 1) / block;
 
     const Bins<int32_t> bins(pixels, blocks, threads, [&](int64_t pixel, const auto& put) {
-        std::array<int32_t, K> vertex;
+        std::array<int32_t, K> vertex{};
         if (!corners(pixel, vertex)) return;
         for (int k = 0; k < K; ++k) {
             const int64_t owner = vertex[k] / block;
@@ -32,7 +32,7 @@ void ordered_scatter(int64_t pixels, int64_t vertices, int threads, const Corner
 
     parallel_for(blocks, threads, [&](int64_t owner) {
         for (const int32_t pixel : bins[owner]) {
-            std::array<int32_t, K> vertex;
+            std::array<int32_t, K> vertex{};
             corners(pixel, vertex);
             for (int k = 0; k < K; ++k)
                 if (vertex[k] / block == owner) add(pixel, k, vertex[k]);

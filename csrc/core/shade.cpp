@@ -36,21 +36,15 @@ void specialise(const Shading<T>& shading, const Body& body) {
         with_basis.template operator()<1>();
 }
 
-template <class T>
-void check(const Shading<T>& s) {
-    if (s.faces) check_indices("faces", s.faces, 3 * s.face_count, 0, s.vertices, s.threads);
-    check_indices("index", s.index, s.pixels, -1, s.faces ? s.face_count : s.vertices, s.threads);
-}
-
 // Writes the vertices under a pixel; false where it is empty.
 template <int K, class T>
 bool corners(const Shading<T>& s, int64_t pixel, std::array<int32_t, K>& vertex) {
-    const int32_t i = s.index[pixel];
+    const int32_t i = checked("index", s.index[pixel], -1, K == 1 ? s.vertices : s.face_count);
     if (i < 0) return false;
     if constexpr (K == 1)
         vertex[0] = i;
     else
-        std::copy_n(s.faces + K * int64_t{i}, K, vertex.begin());
+        for (int k = 0; k < K; ++k) vertex[k] = checked("faces", s.faces[K * int64_t{i} + k], 0, s.vertices);
     return true;
 }
 
@@ -58,13 +52,12 @@ bool corners(const Shading<T>& s, int64_t pixel, std::array<int32_t, K>& vertex)
 
 template <class T>
 void shade(const Shading<T>& s, T* out) {
-    check(s);
     specialise(s, [&]<int K, int B>() {
         parallel_blocks(s.pixels, s.threads, [&](int64_t begin, int64_t end) {
             std::vector<T> feature(s.channels);
             for (int64_t pixel = begin; pixel < end; ++pixel) {
                 std::fill(feature.begin(), feature.end(), T(0));
-                std::array<int32_t, K> vertex;
+                std::array<int32_t, K> vertex{};
                 if (corners<K>(s, pixel, vertex)) {
                     T Y[B];
                     harmonics<B>(s.rays + 3 * pixel, Y);
@@ -86,7 +79,6 @@ void shade(const Shading<T>& s, T* out) {
 
 template <class T>
 void shade_backward_coeffs(const Shading<T>& s, const T* grad_out, T* grad_coeffs) {
-    check(s);
     specialise(s, [&]<int K, int B>() {
         const auto corners_at = [&](int64_t pixel, std::array<int32_t, K>& vertex) {
             return corners<K>(s, pixel, vertex);
@@ -107,13 +99,12 @@ void shade_backward_coeffs(const Shading<T>& s, const T* grad_out, T* grad_coeff
 
 template <class T>
 void shade_backward_pixels(const Shading<T>& s, const T* grad_out, T* grad_weight, T* grad_rays) {
-    check(s);
     specialise(s, [&]<int K, int B>() {
         parallel_blocks(s.pixels, s.threads, [&](int64_t begin, int64_t end) {
             for (int64_t pixel = begin; pixel < end; ++pixel) {
                 T* grad_w = grad_weight + K * pixel;
                 T* grad_ray = grad_rays + 3 * pixel;
-                std::array<int32_t, K> vertex;
+                std::array<int32_t, K> vertex{};
                 if (!corners<K>(s, pixel, vertex)) {
                     std::fill_n(grad_w, K, T(0));
                     std::fill_n(grad_ray, 3, T(0));

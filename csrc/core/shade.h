@@ -15,15 +15,15 @@ struct Shading {
     const int32_t* faces;  // [face_count, 3], or null for points
     const T* rays;         // [pixels, 3] unit directions
     const T* coeffs;       // [vertices, basis, channels]
-    int64_t pixels;        //
-    int64_t face_count;    //
-    int64_t vertices;      //
-    int basis;             // 1, 4 or 9
-    int channels;          //
-    int threads;           //
+    int64_t pixels;
+    int64_t face_count;
+    int64_t vertices;
+    int basis;  // 1, 4 or 9
+    int channels;
+    int threads;
 };
 
-// All three throw std::invalid_argument where an index points outside of its table.
+// All three throw std::invalid_argument where a pixel leads outside of a table.
 
 // out [channels, pixels]: the features, 0 where empty.
 template <class T>

@@ -1,4 +1,4 @@
-"""What all ops promise: torch.library's rules, the same bits for any number of threads, errors for bad input."""
+"""What all ops promise: torch.library's rules, equal bits for any number of threads, errors for bad input."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ def scene(random_scene, unit_rays):
     index, dist2 = rasterize_points(h, 1.63, H, W)
     face, bary = rasterize_faces(h, faces, H, W)
     coeffs = torch.randn(9000, 9, 8, generator=torch.Generator().manual_seed(1))
+    rays = unit_rays(1, H, W, torch.float32)
     return {
         "rasterize_points": (rasterize_points, [h, 1.63, H, W]),
         "rasterize_faces": (rasterize_faces, [h, faces, H, W]),
         "shade_points": (
             shade_points,
-            [index, 1 - dist2 / 1.63**2, unit_rays(1, H, W, torch.float32), coeffs],
+            [index, 1 - dist2 / 1.63**2, rays, coeffs],
         ),
-        "shade_faces": (shade_faces, [face, bary, faces, unit_rays(1, H, W, torch.float32), coeffs]),
+        "shade_faces": (shade_faces, [face, bary, faces, rays, coeffs]),
         # Most pixels end in a few vertices: sums that another order would round differently.
         "shade_crowded": (
             shade_faces,
-            [face.clamp(max=3), bary, faces % 5, unit_rays(1, H, W, torch.float32), coeffs],
+            [face.clamp(max=3), bary, faces % 5, rays, coeffs],
         ),
     }
 
@@ -142,9 +143,9 @@ def test_backward_checks_indices_too(random_scene):
     h, faces = random_scene(0, 4, 4)
     grad = torch.ones(4, 4, 3, dtype=torch.float64)
     beyond = torch.full((4, 4), 80, dtype=torch.int32)
-    with pytest.raises(ValueError, match="face: .*got 80"):
+    with pytest.raises(ValueError, match=r"face: .*got 80"):
         torch.ops.nmbg.rasterize_faces_backward(h, faces, beyond, grad)
-    with pytest.raises(ValueError, match="index: .*got 80"):
+    with pytest.raises(ValueError, match=r"index: .*got 80"):
         torch.ops.nmbg.rasterize_points_backward(h, 1.0, beyond, grad[..., 0].contiguous())
 
 
@@ -157,7 +158,7 @@ def test_the_twins_have_the_same_signatures():
 
 
 def test_threads_must_be_positive():
-    with pytest.raises(ValueError, match="threads: .*0"):
+    with pytest.raises(ValueError, match=r"threads: .*0"):
         _core.rasterize_points(CORNERS.numpy(), 1.0, 2, 2, 0)
 
 

@@ -8,6 +8,7 @@ import torch  # before nmbg._core: the process then has the one OpenMP runtime o
 from torch import Tensor
 
 from nmbg import _core
+from nmbg.ops import reference
 from nmbg.ops._arrays import array
 
 
@@ -108,6 +109,8 @@ def shade_points(
     Raises:
         TypeError, ValueError: an argument of another dtype, shape or range than said here.
     """
+    if coeffs.device.type != "cpu":  # no kernel there yet: the twin is plain torch and runs anywhere
+        return reference.shade_points(index, weight, rays, coeffs)
     features: Tensor = _shade(index, weight.unsqueeze(-1), None, rays, coeffs)
     return features
 
@@ -135,5 +138,7 @@ def shade_faces(
     Raises:
         TypeError, ValueError: an argument of another dtype, shape or range than said here.
     """
+    if coeffs.device.type != "cpu":
+        return reference.shade_faces(face, bary, faces, rays, coeffs)
     features: Tensor = _shade(face, bary, faces, rays, coeffs)
     return features
