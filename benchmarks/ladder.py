@@ -9,7 +9,6 @@ Finished rungs are kept: run it again and it goes on where it stopped.
 from __future__ import annotations
 
 import json
-import platform
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,7 @@ import torch
 from nmbg import __version__
 from nmbg.atomic import atomic_file
 from nmbg.evaluation.evaluate import evaluate
+from nmbg.evaluation.machine import machine
 from nmbg.scene import Scene
 from nmbg.training.checkpoint import latest_checkpoint, load_progress, load_run
 from nmbg.training.config import PRESETS, VGG_TO_RELU3
@@ -71,9 +71,9 @@ def _judge(run: Path, weights: Path, lpips_net: str) -> dict[str, float]:
     loaded = load_run(run)
     network = loaded.renderer.network
     return {
-        **metrics["mean"],
-        "train_psnr": training["mean"]["psnr"],
-        "seconds_per_frame": metrics["seconds_per_frame"],
+        **metrics.mean,
+        "train_psnr": training.mean["psnr"],
+        "seconds_per_frame": metrics.seconds_per_frame,
         "steps": load_progress(checkpoint).step,
         "network_parameters": 0 if network is None else sum(p.numel() for p in network.parameters()),
     }
@@ -86,8 +86,7 @@ def _provenance(scene: Path, minutes: float) -> dict[str, object]:
         "minutes": minutes,
         "nmbg": __version__,
         "torch": torch.__version__,
-        "threads": torch.get_num_threads(),
-        "machine": platform.processor() or platform.machine(),
+        "machine": machine("cpu"),
         "rungs": {},
     }
 
@@ -97,7 +96,7 @@ def _table(results: dict[str, object]) -> str:
     assert isinstance(rungs, dict)
     lpips = next((key for row in rungs.values() for key in row if key.startswith("lpips")), "lpips")
     lines = [
-        f"Scene {results['scene']}, {results['minutes']:g} minutes a rung, {results['threads']} threads.",
+        f"Scene {results['scene']}, {results['minutes']:g} minutes a rung, {results['machine']}.",
         "",
         f"| preset | PSNR | SSIM | {lpips} | PSNR, training | steps | ms / frame | network parameters |",
         "|---|---|---|---|---|---|---|---|",

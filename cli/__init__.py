@@ -54,7 +54,7 @@ class LazyGroup(click.Group):
             raise  # click's: the reader of our output has gone
         except OSError as error:
             _fail(_describe(error))
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, click.Abort):
             print("nmbg: interrupted", file=sys.stderr)
             sys.exit(128 + signal.SIGINT)
         finally:

@@ -11,10 +11,8 @@ import click
 from nmbg.errors import NmbgError
 
 
-class ExistingFolder(click.ParamType):
+class ExistingFolder(click.Path):
     """A folder that exists; otherwise one line that names it."""
-
-    name = "folder"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """Path of the folder.

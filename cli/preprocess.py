@@ -13,7 +13,7 @@ from nmbg.preprocess import PreprocessOptions, preprocess
 from nmbg.scene import Scene
 
 
-@click.command("preprocess")
+@click.command(epilog="Example: nmbg preprocess photos/dense out/room --max-size 800")
 @click.argument("source", type=click.Path(path_type=Path))
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.option(

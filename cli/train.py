@@ -6,19 +6,23 @@ from dataclasses import replace
 from pathlib import Path
 
 import click
-import torch
+from click.core import ParameterSource
 
+from nmbg.cli.options import (
+    FOLDER,
+    NEW_FOLDER,
+    device_option,
+    overwrite_option,
+    threads_option,
+    weights_option,
+)
 from nmbg.errors import NmbgError
-from nmbg.scene import Scene
 from nmbg.training.config import PRESETS
-from nmbg.training.trainer import resume, train
-
-FOLDER = click.Path(path_type=Path, file_okay=False)
 
 
-@click.command(epilog="Example: nmbg train out/fox --output out/fox-run --minutes 15 --weights ~/weights")
+@click.command(epilog="\b\nExample:\n  nmbg train out/room --output out/room-run --minutes 15 --weights DIR")
 @click.argument("scene", type=FOLDER, required=False)
-@click.option("--output", type=FOLDER, required=True, help="Run folder to write.")
+@click.option("--output", type=NEW_FOLDER, required=True, help="Run folder to write.")
 @click.option(
     "--preset", type=click.Choice(list(PRESETS)), default="nmbg", show_default=True, help="What to train."
 )
@@ -28,7 +32,7 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
 @click.option("--iterations", type=click.IntRange(min=0), help="Budget in steps.")
 @click.option("--epochs", type=click.IntRange(min=0), help="Budget in passes over the training views.")
 @click.option("--perceptual", help='Layers of L_rec: "vgg19", "vgg19:relu1_2,relu2_2,relu3_1" or "none".')
-@click.option("--weights", type=FOLDER, help="Folder of pretrained weights (see nmbg info).")
+@weights_option
 @click.option("--zoom", type=click.FloatRange(min=1), help="Largest random zoom of training windows.")
 @click.option(
     "--window", type=click.FloatRange(min=0, max=1, min_open=True), help="Training windows' share of a side."
@@ -37,39 +41,39 @@ FOLDER = click.Path(path_type=Path, file_okay=False)
     "--validation-views", type=click.IntRange(min=0), help="Training views kept aside for progress figures."
 )
 @click.option("--seed", type=int, default=0, show_default=True)
-@click.option("--device", type=click.Choice(["auto", "cpu", "cuda"]), default="auto", show_default=True)
+@device_option
 @click.option(
     "--bf16/--no-bf16", default=None, help="bfloat16 network and loss  [default: where the machine has it]"
 )
-@click.option("--threads", type=click.IntRange(min=1), help="CPU threads  [default: all cores]")
+@threads_option
 @click.option("--cache", "cache_gib", type=click.FloatRange(min=0), help="Memory for fragments, GiB.")
-@click.option("--overwrite", is_flag=True, help="Replace an existing run folder.")
+@overwrite_option
 @click.option(
     "--resume", "resuming", is_flag=True, help="Go on with an interrupted run, with its own options."
 )
 @click.pass_context
 def command(
     context: click.Context,
+    /,
     scene: Path | None,
     output: Path,
     preset: str,
     weights: Path | None,
     device: str,
-    threads: int | None,
     overwrite: bool,
     resuming: bool,
     **options: object,
 ) -> None:
     """Train SCENE, a folder that nmbg preprocess wrote."""
-    if threads is not None:
-        torch.set_num_threads(threads)
+    from nmbg.scene import Scene
+    from nmbg.training.trainer import resume, train
+
     if resuming:
         _refuse_options(context)
         click.echo(resume(output, weights))
         return
     if scene is None:
         raise NmbgError("no scene given; name a folder that nmbg preprocess wrote")
-    device = _device(device)
     given = {name: value for name, value in options.items() if value is not None}
     if given.keys() & {"minutes", "iterations", "epochs"}:
         given = {"minutes": None, "iterations": None, "epochs": None, **given}
@@ -86,21 +90,16 @@ def _refuse_options(context: click.Context) -> None:
     free = {"output", "resuming", "weights", "threads", "scene"}
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
-        if parameter.name not in free and source is click.core.ParameterSource.COMMANDLINE:
+        if parameter.name not in free and source is ParameterSource.COMMANDLINE:
             raise NmbgError(
                 f"{parameter.opts[0]}: a resumed run keeps its own options; leave it out, or train anew"
             )
 
 
-def _device(name: str) -> str:
-    available = torch.cuda.is_available()
-    if name == "cuda" and not available:
-        raise NmbgError("--device cuda: torch sees no CUDA device; use --device cpu")
-    return ("cuda" if available else "cpu") if name == "auto" else name
-
-
 def _has_bf16(device: str) -> bool:
     """Whether bfloat16 convolutions are faster than float32 ones: only where the hardware multiplies them."""
+    import torch
+
     if device == "cuda":
-        return torch.cuda.is_bf16_supported()
-    return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported()) and torch.cpu._is_avx512_bf16_supported()
+        return bool(torch.cuda.is_bf16_supported())
+    return bool(torch.cpu._is_avx512_bf16_supported())

@@ -76,6 +76,15 @@ def test_supersampling_averages_the_samples(bumpy: Mesh, camera: Camera) -> None
     torch.testing.assert_close(fine(fine.rasterize(camera), camera), expected)
 
 
+def test_supersampled_pyramid_is_the_average_of_its_finest_level(bumpy: Mesh, camera: Camera) -> None:
+    config = replace(NETWORK, supersample=2, points=False)
+    renderer = randomised(Renderer(config, [bumpy]))
+    (fragments,) = renderer.rasterize(camera)
+    finest, *coarser = renderer.descriptors[0].pyramid(fragments, 3, slice(None))
+    assert [tuple(level.shape[-2:]) for level in (finest, *coarser)] == [(32, 44), (16, 22), (8, 11)]
+    torch.testing.assert_close(coarser[1], torch.nn.functional.avg_pool2d(finest, 4))
+
+
 def test_foreground_hides_background(bumpy: Mesh, camera: Camera) -> None:
     behind = replace(bumpy, vertices=bumpy.vertices * 2 + np.float32([0, 0, 2]))
     renderer = randomised(Renderer(replace(COLOUR, layers=2), [bumpy, behind]))
@@ -109,6 +118,8 @@ def test_looking_away_is_plain(bumpy: Mesh, camera: Camera) -> None:
 def test_config_refuses_nonsense() -> None:
     with pytest.raises(ValueError, match="faces, points or both"):
         ModelConfig(faces=False, points=False)
+    with pytest.raises(ValueError, match="supersampled"):
+        ModelConfig(supersample=2)
     with pytest.raises(ValueError, match="without a network"):
         ModelConfig(widths=())
     with pytest.raises(ValueError, match="colour_skip needs"):

@@ -24,7 +24,8 @@ class ModelConfig:
         norm: BatchNorm in the encoders (paper), or none.
         mask_channel: tell the network where each layer is covered.
         colour_skip: image = rendered colour + network, whose last convolution starts at zero.
-        supersample: rasterize s × s samples a pixel and average them (faces only).
+        supersample: s × s samples a pixel, averaged; with s > 1 the coarser levels are averages of the finest
+            one instead of being rasterized anew. Faces only.
     """
 
     degree: int = 2
@@ -43,6 +44,8 @@ class ModelConfig:
     def __post_init__(self) -> None:
         if not self.faces and not self.points:
             raise ValueError("a model rasterizes faces, points or both; got neither")
+        if self.supersample > 1 and self.points:
+            raise ValueError("points have a radius in pixels and are not supersampled; leave one out")
         if not self.widths and not self.colour_skip:
             raise ValueError("a model without a network shows the rendered colour: colour_skip must be set")
         if self.colour_skip and (not self.faces or self.features < 3):
@@ -57,6 +60,11 @@ class ModelConfig:
     def levels(self) -> int:
         """Levels of the image pyramid; 1 without a network."""
         return max(1, len(self.widths))
+
+    @property
+    def rasterized_levels(self) -> int:
+        """Levels that are rasterized; the rest are averages of the finest."""
+        return 1 if self.supersample > 1 else self.levels
 
     @property
     def channels(self) -> int:

@@ -44,7 +44,10 @@ class Descriptors(nn.Module):
         # A gather with a sparse gradient: the optimiser touches only the vertices that this view sees.
         rows = F.embedding(fragments.vertices.to(self.coeffs.device), self.coeffs, sparse=True)
         rows = rows.view(-1, self.config.bases, self.config.features)[:, :, channels]
-        return [self._shade(level, fragments.faces, rows)[None] for level in fragments.levels[:levels]]
+        images = [self._shade(level, fragments.faces, rows)[None] for level in fragments.levels[:levels]]
+        while len(images) < levels:
+            images.append(F.avg_pool2d(images[-1], 2))
+        return images
 
     def _shade(self, level: LevelFragments, faces: Tensor, rows: Tensor) -> Tensor:
         images = []

@@ -39,7 +39,7 @@ class LayerFragments:
     Args:
         vertices: [V] int64, ascending: the layer's vertices that any level shows.
         faces: [F, 3] int32 into `vertices`: the faces that any level shows.
-        levels: the pyramid, finest first.
+        levels: those of the pyramid that are rasterized, finest first.
     """
 
     vertices: Tensor
@@ -56,7 +56,7 @@ class LayerFragments:
 
 
 def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig) -> LayerFragments:
-    """Rasterize one layer for all pyramid levels of a camera.
+    """Rasterize one layer for the pyramid of a camera.
 
     Args:
         mesh: the layer's geometry.
@@ -67,7 +67,7 @@ def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig) -> LayerFra
     radius = config.radius_px(camera.width, camera.height)
     s = config.supersample
     levels = []
-    for k in range(config.levels):
+    for k in range(config.rasterized_levels):
         view = camera.level(k)
         index = weight = face = bary = None
         if config.points:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import torch
 import torch.nn.functional as F
@@ -39,10 +40,14 @@ class Renderer(nn.Module):
         if self.network is not None:
             self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
+    @property
+    def _descriptors(self) -> list[Descriptors]:
+        return cast("list[Descriptors]", list(self.descriptors))
+
     @torch.no_grad()
     def set_colours(self, coeffs: Sequence[Tensor]) -> None:
         """Start the colour features from coefficients [N, B′, 3] per layer, colours in [0, 1]."""
-        for descriptors, layer in zip(self.descriptors, coeffs, strict=True):
+        for descriptors, layer in zip(self._descriptors, coeffs, strict=True):
             # Features are colour − ½: an empty pixel, whose features are zero, is mid-grey.
             shifted = layer.clone()
             shifted[:, 0] -= 0.5 / SH_CONSTANT
@@ -56,7 +61,7 @@ class Renderer(nn.Module):
     def colour(self, fragments: list[LayerFragments], camera: Camera) -> Tensor:
         """The colour on the mesh without the network, [3, H, W]; the foreground hides the background."""
         pyramids = [
-            d.pyramid(layer, 1, slice(0, 3)) for d, layer in zip(self.descriptors, fragments, strict=True)
+            d.pyramid(layer, 1, slice(0, 3)) for d, layer in zip(self._descriptors, fragments, strict=True)
         ]
         return self._composite(pyramids, fragments)[0, :, : camera.height, : camera.width] + 0.5
 
@@ -66,7 +71,7 @@ class Renderer(nn.Module):
             return self.colour(fragments, camera)
         pyramids = [
             d.pyramid(layer, self.config.levels, slice(None))
-            for d, layer in zip(self.descriptors, fragments, strict=True)
+            for d, layer in zip(self._descriptors, fragments, strict=True)
         ]
         image: Tensor = self.network(
             [[x.contiguous(memory_format=torch.channels_last) for x in p] for p in pyramids]
@@ -93,7 +98,7 @@ class Renderer(nn.Module):
         training = self.training
         self.eval()
         try:
-            image = self(self.rasterize(camera), camera)
+            image: Tensor = self(self.rasterize(camera), camera)
         finally:
             self.train(training)
         return image.clamp(0, 1).cpu()

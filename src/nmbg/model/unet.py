@@ -85,8 +85,8 @@ class UNet(nn.Module):
         )
         self.out = nn.Conv2d(outputs[0], 3, 1)
         if zero_start:
-            nn.init.zeros_(self.out.weight)
-            nn.init.zeros_(self.out.bias)
+            for parameter in self.out.parameters():
+                nn.init.zeros_(parameter)
 
     def forward(self, pyramids: list[list[Tensor]]) -> Tensor:
         """Render.

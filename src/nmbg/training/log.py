@@ -5,8 +5,6 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from typing_extensions import Self
-
 from torch.utils.tensorboard.writer import SummaryWriter
 
 COLUMNS = ("step", "seconds", "progress", "stage", "loss", "l1", "perceptual", "validation_psnr")
@@ -37,14 +35,14 @@ class Log:
         self._writer.writerow([_short(row.get(column, "")) for column in COLUMNS])
         self._file.flush()
         for name, value in values.items():
-            self._events.add_scalar(name, value, step)  # type: ignore[no-untyped-call]
+            self._events.add_scalar(name, value, step)
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> Log:
         return self
 
     def __exit__(self, *_: object) -> None:
         self._file.close()
-        self._events.close()  # type: ignore[no-untyped-call]
+        self._events.close()
 
 
 def _short(value: float | str) -> str:

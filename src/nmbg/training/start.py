@@ -2,98 +2,88 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
-from nmbg.model.config import ModelConfig
+from nmbg.mesh import Mesh
 from nmbg.model.descriptors import SH_CONSTANT
-from nmbg.model.fragments import LevelFragments
-from nmbg.model.renderer import Renderer
-from nmbg.ops import shade_faces
+from nmbg.ops import rasterize_faces, shade_faces
+from nmbg.ops.reference import harmonics
 from nmbg.progress import progress_bar
-from nmbg.training.views import Views
+from nmbg.scene import Scene, View
+
+# Ridge relative to a vertex's weight: degree 0; degrees ≥ 1, which stay small where few directions were seen.
+RIDGE = (1e-4, 0.02)
 
 
-def mean_colours(renderer: Renderer) -> list[Tensor]:
-    """Degree-0 coefficients [N, 1, 3] per layer from the scene's mean vertex colours."""
-    return [torch.from_numpy(mesh.colours).float()[:, None] / 255 / SH_CONSTANT for mesh in renderer.layers]
+def mean_colours(layers: Sequence[Mesh]) -> list[Tensor]:
+    """Degree-0 coefficients [N, 1, 3] per layer that show the vertex colours."""
+    return [torch.from_numpy(mesh.colours).float()[:, None] / 255 / SH_CONSTANT for mesh in layers]
 
 
-def fitted_colours(renderer: Renderer, views: Views, shrinkage: float = 0.02) -> list[Tensor]:
+def fitted_colours(
+    layers: Sequence[Mesh],
+    scene: Scene,
+    views: Sequence[View],
+    bases: int,
+    ridge: tuple[float, float] = RIDGE,
+) -> list[Tensor]:
     """Least-squares harmonics of the colours that the views show at each vertex.
 
     Every pixel is an observation of its face's three vertices, weighted by the barycentrics; per vertex the
-    normal equations (AᵀA + λ) c = Aᵀ colour are summed over the views and solved. The sums are gradients of
-    shading: the scatter of Y_b · pixel over the vertices is what its backward pass computes.
+    normal equations (Σ Y Yᵀ + ridge) c = Σ Y colour are summed over the views and solved. The sums are
+    gradients of shading: its backward pass scatters Y_b · pixel over the vertices.
 
     Args:
-        renderer: gives the geometry and the degree.
-        views: the training views.
-        shrinkage: λ for degrees ≥ 1, relative to the weight of a vertex; where few directions were seen it
-            keeps the fit near the mean colour.
+        layers: meshes.
+        scene: gives the photographs.
+        views: which of them.
+        bases: (degree + 1)².
+        ridge: for degree 0 and for degrees ≥ 1.
 
     Returns:
-        per layer, [N, (degree + 1)², 3] float32.
+        per layer, [N, bases, 3] float32; a vertex that no view sees keeps its mean colour.
     """
-    bases = renderer.config.bases
-    sums = [torch.zeros(len(mesh.vertices), bases, bases + 3) for mesh in renderer.layers]
+    sums = [torch.zeros(len(mesh.vertices), bases, bases + 3) for mesh in layers]
     with progress_bar() as bar:
-        for i in bar.track(range(len(views)), description="fitting colours"):
-            example = views.frame(i)
-            for total, layer in zip(sums, example.fragments, strict=True):
-                finest = layer.levels[0]
-                if finest.face is None or finest.bary is None:
-                    raise ValueError("colours are fitted through the faces; this model has none")
-                rays = finest.camera.resized(*finest.face.shape[::-1]).rays()
-                mask = (
-                    torch.ones_like(example.image[0], dtype=torch.bool)
-                    if example.mask is None
-                    else example.mask
-                )
-                seen = _on_samples(mask[None].float(), finest)
-                colour = _on_samples(example.image / 255, finest) * seen
-                basis = harmonics(rays, renderer.config) * seen
-                zeros = torch.zeros(len(layer.vertices), bases, bases + 3, requires_grad=True)
-                shown = shade_faces(finest.face, finest.bary, layer.faces, rays, zeros)
-                (scattered,) = torch.autograd.grad(shown, zeros, torch.cat([basis, colour]))
-                total[layer.vertices] += scattered
-    return [_solve(total, mean, shrinkage) for total, mean in zip(sums, mean_colours(renderer), strict=True)]
+        for view in bar.track(views, description="fitting colours"):
+            basis = harmonics(view.camera.rays(), bases).permute(2, 0, 1)
+            colour = torch.from_numpy(scene.load_image(view)).permute(2, 0, 1) / 255
+            mask = scene.load_mask(view)
+            shown = torch.cat([basis, colour])
+            if mask is not None:
+                shown = shown * torch.from_numpy(mask)
+            for total, mesh in zip(sums, layers, strict=True):
+                _scatter(total, mesh, view, shown)
+    return [_solve(total, mean, ridge) for total, mean in zip(sums, mean_colours(layers), strict=True)]
 
 
-def harmonics(rays: Tensor, config: ModelConfig) -> Tensor:
-    """Spherical harmonics of unit directions [H, W, 3] as an image, [(degree + 1)², H, W]."""
-    height, width, _ = rays.shape
-    identity = torch.eye(config.bases)[None].expand(3, -1, -1).contiguous()
-    corner = torch.zeros(height, width, 3)
-    corner[..., 0] = 1
-    return shade_faces(
-        torch.zeros(height, width, dtype=torch.int32),
-        corner,
-        torch.tensor([[0, 1, 2]], dtype=torch.int32),
-        rays,
-        identity,
-    )
+def _scatter(total: Tensor, mesh: Mesh, view: View, shown: Tensor) -> None:
+    """Add Y_b · shown_c of every pixel to the vertices of its face."""
+    camera, faces = view.camera, torch.from_numpy(mesh.faces)
+    h = camera.project(torch.from_numpy(mesh.vertices))
+    face, bary = rasterize_faces(h, faces, camera.height, camera.width)
+    seen = face >= 0
+    # Renumbered to the vertices in view, so that the sums cost what is seen.
+    vertices, corners = torch.unique(faces[face[seen].long()], return_inverse=True)
+    pixel = torch.full_like(face, -1)
+    pixel[seen] = torch.arange(len(corners), dtype=torch.int32)
+    zeros = torch.zeros(len(vertices), *total.shape[1:], requires_grad=True)
+    image = shade_faces(pixel, bary, corners.int(), camera.rays(), zeros)
+    (scattered,) = torch.autograd.grad(image, zeros, shown)
+    total.index_add_(0, vertices, scattered)
 
 
-def _on_samples(image: Tensor, level: LevelFragments) -> Tensor:
-    """An image [C, H, W] on a level's samples: zero-padded, each pixel repeated for its s × s samples."""
-    assert level.face is not None
-    s = level.face.shape[0] // level.camera.height
-    padding = (0, level.camera.width - image.shape[2], 0, level.camera.height - image.shape[1])
-    return F.pad(image, padding).repeat_interleave(s, 1).repeat_interleave(s, 2)
-
-
-def _solve(sums: Tensor, mean: Tensor, shrinkage: float) -> Tensor:
+def _solve(sums: Tensor, mean: Tensor, ridge: tuple[float, float]) -> Tensor:
     """Solve per vertex for the deviation from its mean colour, which is also what an unseen vertex keeps."""
     bases = sums.shape[1]
     normal, rhs = sums[..., :bases].double(), sums[..., bases:].double()
     mean = mean.double()
     weight = normal[:, 0, 0] / SH_CONSTANT**2
-    ridge = torch.full((bases,), shrinkage, dtype=torch.float64)
-    ridge[0] = 1e-4
-    normal_reg = normal + torch.diag_embed(ridge[None] * (weight[:, None] + 1e-6))
-    residual = rhs - normal[..., :1] @ mean
-    fitted = torch.linalg.solve(normal_reg, residual)
+    diagonal = torch.tensor([ridge[0]] + [ridge[1]] * (bases - 1), dtype=torch.float64)
+    regular = normal + torch.diag_embed(diagonal * (weight[:, None] + 1e-6))
+    fitted: Tensor = torch.linalg.solve(regular, rhs - normal[..., :1] @ mean)
     fitted[:, :1] += mean
     return fitted.float()

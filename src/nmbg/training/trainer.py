@@ -56,9 +56,9 @@ def train(
         renderer = checkpoint.build_renderer(scene, config)
         training, validation = _views(scene, config, renderer)
         if config.start == "mean":
-            renderer.set_colours(mean_colours(renderer))
+            renderer.set_colours(mean_colours(renderer.layers))
         elif config.start == "fit":
-            renderer.set_colours(fitted_colours(renderer, training))
+            renderer.set_colours(fitted_colours(renderer.layers, scene, training.views, config.model.bases))
         checkpoint.save_config(temporary, scene, config)
         checkpoint.save_checkpoint(temporary, renderer, Progress(seconds=clock.seconds))
     _fit(config, run, renderer, perceptual, training, validation, Progress(), clock)
@@ -110,7 +110,7 @@ def _fit(
     saved, stage_index = clock.seconds, state.stage
     renderer.train()
     with Log(run, step) as log, _interruptible() as interrupted, progress_bar() as bar:
-        task = bar.add_task(f"training {config.preset}", total=100, completed=100 * progress)
+        task = bar.add_task(f"training {config.preset}", total=100)
         while progress < 1 and not interrupted:
             index, done = budget.stage(progress)
             stage = config.stages[index]
@@ -188,7 +188,11 @@ def _loss(
     render = renderer if stage.network else renderer.colour
     image: Tensor = render(example.fragments, example.camera)[None]
     target = (example.image.to(image.device) / 255)[None]
-    mask = None if example.mask is None else example.mask.to(image.device)[None, None].float()
+    mask = None
+    if example.mask is not None:
+        mask = example.mask.to(image.device)[None, None].float()
+        # Features near the mask's border also see pixels beyond it: both show the same black there.
+        image, target = image * mask, target * mask
     terms = {"l1": l1(image, target, mask)}
     terms["loss"] = stage.l1 * terms["l1"]
     if stage.perceptual and perceptual is not None:
