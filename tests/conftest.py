@@ -101,13 +101,15 @@ def surface() -> trimesh.Trimesh:
     return whole
 
 
-def write_workspace(folder: Path, model: str = "PINHOLE", n_points: int = 60) -> Path:
-    """A COLMAP workspace with images/, sparse/0 (binary) and meshed-delaunay.ply.
+def write_workspace(
+    folder: Path, model: str = "PINHOLE", camera: pycolmap.Camera | None = None, n_points: int = 60
+) -> Path:
+    """A COLMAP workspace with images/, sparse/0 (binary) and meshed-delaunay.ply, seen through one lens.
 
     The points' observations are off by about half a pixel, as real ones are.
     """
     rng = np.random.default_rng(0)
-    camera = lens(model)
+    camera = camera or lens(model)
     surface_mesh = surface()
     points = surface_mesh.vertices[rng.choice(len(surface_mesh.vertices), n_points, replace=False)]
     reconstruction = pycolmap.Reconstruction()
@@ -117,7 +119,7 @@ def write_workspace(folder: Path, model: str = "PINHOLE", n_points: int = 60) ->
     for i, pose in enumerate(poses()):
         in_camera = points @ pose.rotation.matrix().T + pose.translation
         pixels = np.asarray(camera.img_from_cam(in_camera)) + rng.normal(0, 0.5, (n_points, 2))
-        seen = np.flatnonzero(((pixels > 0) & (pixels < SIZE)).all(1))
+        seen = np.flatnonzero(((pixels > 0) & (pixels < (camera.width, camera.height))).all(1))
         name = f"{i:03d}.png"
         image = pycolmap.Image(name=name, keypoints=pixels[seen], camera_id=1, image_id=i + 1)
         reconstruction.add_image_with_trivial_frame(image, pose)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,10 +14,8 @@ from pathlib import Path
 
 from nmbg.errors import NmbgError
 
-try:
+if sys.platform != "win32":
     import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 MARK = ".nmbg"  # stands in every folder written here: only such folders are ever replaced
 _PARTIAL = ".partial"
@@ -106,7 +105,7 @@ def _remove_abandoned(path: Path) -> None:
 
 def _lock(descriptor: int) -> bool:
     """Lock an open file until it is closed or its process ends; False when another process holds the lock."""
-    if fcntl is None:
+    if sys.platform == "win32":
         return False
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

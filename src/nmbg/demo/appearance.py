@@ -102,7 +102,7 @@ class Appearance:
 
         self.materials = {
             "terrace": Material(terrace, gloss=0.5, shininess=10),
-            "sphere": Material(sphere, gloss=1.0, shininess=40),
+            "sphere": Material(sphere, gloss=1.0, shininess=25),
             "box": Material(box, gloss=0.5, shininess=14),
             "torus": Material(torus, gloss=0.9, shininess=25),
             "knot": Material(knot, gloss=0.8, shininess=18),
@@ -130,9 +130,9 @@ class Appearance:
         light = ambient * torch.tensor([0.85, 0.95, 1.1])
         shine = torch.zeros_like(position)
         lights = ((SUN, (1.05, 0.95, 0.8), sun), (LAMP, (0.16, 0.2, 0.28), torch.ones_like(sun)))
-        for place, colour, share in lights:
+        for place, tint, share in lights:
             towards = F.normalize(torch.tensor(place) - position, dim=1)
-            strength = share[:, None] * torch.tensor(colour)
+            strength = share[:, None] * torch.tensor(tint)
             light = light + strength * (towards * normal).sum(1, keepdim=True).clamp(min=0)
             half = F.normalize(towards + view, dim=1)
             lobe = (half * normal).sum(1, keepdim=True).clamp(min=0) ** material.shininess
@@ -169,14 +169,14 @@ class Appearance:
             colour, torch.tensor([0.95, 0.93, 0.9]), 0.6 * _step(clouds(p), 0.4, 0.9) * (z > 0)
         )
         ridges = (
-            (0.11, 0.6, (0.36, 0.42, 0.5)),
-            (0.05, 1.3, (0.16, 0.26, 0.2)),
-            (-0.02, 2.2, (0.22, 0.27, 0.1)),
+            (0.11, 0.6, (0.52, 0.55, 0.58)),
+            (0.05, 1.0, (0.36, 0.43, 0.4)),
+            (-0.02, 1.6, (0.3, 0.34, 0.2)),
         )
         for level, scale, tint in ridges:
             ridge = level + 0.035 * hills(p * torch.tensor([scale, scale, 0.0]) + level)
             shade = (1 + 0.18 * hills(p * scale))[:, None]
-            colour = _mix_colours(colour, torch.tensor(tint) * shade, _step(ridge - z, 0.0, 0.02))
+            colour = _mix_colours(colour, torch.tensor(tint) * shade, _step(ridge - z, 0.0, 0.04))
         return colour.T.reshape(1, 3, height, width)
 
 

@@ -51,15 +51,16 @@ def vertex_normals(vertices: Floats, faces: Ints) -> Floats:
     weighted = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     sums = np.stack(
         [np.bincount(faces.ravel(), np.repeat(weighted[:, k], 3), len(vertices)) for k in range(3)], axis=1
-    )
-    return sums / np.linalg.norm(sums, axis=1, keepdims=True)
+    ).astype(np.float64)
+    return _unit(sums)
 
 
 def _blob(name: str, centre: tuple[float, ...], half: tuple[float, ...], power: float, edge: float) -> Part:
     """A superquadric |x/a|ᵖ + |y/b|ᵖ + |z/c|ᵖ = 1 over a cube's lattice: p = 2 is an ellipsoid."""
     n = max(2, round(1.7 * max(half) / edge))
     a, b = np.meshgrid(np.arange(n + 1), np.arange(n + 1), indexing="ij")
-    lattice, faces = [], []
+    lattice: list[npt.NDArray[np.int64]] = []
+    faces: list[Ints] = []
     for axis in range(3):
         for side in (0, n):
             points = np.insert(np.stack([a.ravel(), b.ravel()], 1), axis, side, axis=1)
@@ -112,14 +113,17 @@ def _terrace(edge: float) -> Part:
 
 def _grid_faces(n: int, m: int, flip: bool, periodic: bool = False) -> Ints:
     """Two triangles for each of n × m cells; the lattice is (n + 1) × (m + 1), or n × m when periodic."""
-    i, j = (k.ravel() for k in np.meshgrid(np.arange(n), np.arange(m), indexing="ij"))
+    i, j = (
+        k.ravel()
+        for k in np.meshgrid(np.arange(n, dtype=np.int32), np.arange(m, dtype=np.int32), indexing="ij")
+    )
     rows, columns = (n, m) if periodic else (n + 1, m + 1)
 
     def vertex(row: Ints, column: Ints) -> Ints:
         return (row % rows) * columns + column % columns
 
     a, b, c, d = vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)
-    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
+    faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
     return faces[:, ::-1] if flip else faces
 
 
@@ -140,4 +144,5 @@ def _trefoil(scale: float) -> Callable[[Floats], Floats]:
 
 
 def _unit(vectors: Floats) -> Floats:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    unit: Floats = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return unit

@@ -27,8 +27,6 @@ Floats = npt.NDArray[np.float64]
 FIT_SIZE = 192
 # Neighbouring views see the same holes; of more than this, every n-th is used.
 MOST_VIEWS = 100
-# Of the pixels that must stay visible every third is enough, for cells of four degrees.
-SKIP = 3
 # Directions of the fit: an icosphere of 2562 vertices, four degrees apart.
 SUBDIVISIONS = 4
 # Where views see the shell it is refined while it stays below this.
@@ -37,6 +35,8 @@ MOST_VERTICES = 40_000
 FAR_EXPONENT = 12
 # The shell keeps this distance from what it must not hide, as a factor of the radius.
 CLEARANCE = 1.02
+# New cameras stand beside the old ones: free space as a factor of the cameras' distance from the centre.
+BEYOND_CAMERAS = 1.5
 
 
 def far_shell(mesh: Mesh, cameras: Sequence[Camera]) -> Mesh:
@@ -48,20 +48,13 @@ def far_shell(mesh: Mesh, cameras: Sequence[Camera]) -> Mesh:
     directions, faces = np.asarray(sphere.vertices), np.asarray(sphere.faces, dtype=np.int32)
 
     wanted: list[Floats] = []
-    inside: list[Floats] = [mesh.vertices - centre]
+    inside = [BEYOND_CAMERAS * (np.stack([camera.centre for camera in cameras]) - centre)]
     for sight in sights:
         if sight.covered.any():
             points = unproject(sight.camera, fill_depth(sight.depth, sight.covered)) - centre
             wanted.append(points[~sight.covered.numpy()])
-            # Nothing may stand between a camera and what it sees.
-            origin = sight.camera.centre - centre
-            sparse, seen = points[::SKIP, ::SKIP], sight.covered.numpy()[::SKIP, ::SKIP]
-            inside += [origin + share * (sparse - origin).reshape(-1, 3) for share in (0.0, 0.25, 0.5, 0.75)]
-            inside.append(sparse[seen])
-    places = np.stack([sight.camera.centre for sight in sights]) - centre
-    inside.append((0.5 * (places[:, None] + places)).reshape(-1, 3))  # nor between two cameras
-
-    floor = _cell_maximum(np.concatenate(inside), directions, faces) * CLEARANCE
+            inside.append(points[sight.covered.numpy()])
+    floor = CLEARANCE * _hull_radius(np.concatenate(inside), directions)
     radius, known = _cell_median(np.concatenate(wanted), directions)
     radius = np.maximum(_smooth(radius, known, faces, default=floor.max()), floor)
     shell = _mesh(centre + directions * radius[:, None], faces)
@@ -114,18 +107,19 @@ def _cells(points: Floats, directions: Floats) -> npt.NDArray[np.int64]:
     return torch.cat([(chunk @ grid).argmax(1) for chunk in chunks]).numpy()
 
 
-def _cell_maximum(points: Floats, directions: Floats, faces: npt.NDArray[np.int32]) -> Floats:
-    """Largest radius of the points in each direction's cell and the cells beside it; 0 where there are none.
+def _hull_radius(points: Floats, directions: Floats) -> Floats:
+    """Radius in each direction of the convex hull of points [N, 3] around the origin, or a little more.
 
-    A facet's three corners are neighbours, so no point lies outside the facet that it looks through.
+    The hull is cut out by the planes that touch it from the given directions. A segment between two points of it
+    stays inside: what cameras in the hull see in the hull, nothing outside can hide.
     """
-    radius = np.zeros(len(directions))
-    np.maximum.at(radius, _cells(points, directions), np.linalg.norm(points, axis=1))
-    widest = radius.copy()
-    for a, b in ((0, 1), (1, 2), (2, 0)):
-        np.maximum.at(widest, faces[:, a], radius[faces[:, b]])
-        np.maximum.at(widest, faces[:, b], radius[faces[:, a]])
-    return widest
+    chunks = torch.split(torch.from_numpy(points.astype(np.float32)), 16384)
+    normals = torch.from_numpy(directions.T.astype(np.float32))
+    support = torch.stack([(chunk @ normals).amax(0) for chunk in chunks]).amax(0).double().numpy()
+    cosine = directions @ directions.T
+    reach = np.where(cosine > 1e-3, support / np.maximum(cosine, 1e-3), np.inf)
+    radius: Floats = reach.min(axis=1)
+    return radius
 
 
 def _cell_median(points: Floats, directions: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:

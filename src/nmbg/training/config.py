@@ -129,18 +129,18 @@ PRESETS: dict[str, TrainConfig] = {
         ),
         TrainConfig(
             "nmbg",
-            replace(
-                _directional,
+            ModelConfig(
                 points=False,
-                colour_skip=True,
+                supersample=2,
+                widths=(12, 24, 48, 96),
                 norm="none",
                 mask_channel=True,
-                widths=(16, 32, 64, 128),
+                colour_skip=True,
             ),
             (
                 Stage(0.2, network=False),
-                Stage(0.4, network=True, descriptor_rate=0.005),
-                Stage(0.4, network=True, perceptual=0.5, descriptor_rate=0.003, network_rate=5e-4),
+                Stage(0.2, network=True, descriptor_rate=0.005),
+                Stage(0.6, network=True, perceptual=0.5, descriptor_rate=0.003, network_rate=5e-4),
             ),
             perceptual=VGG_TO_RELU3,
             minutes=15,
