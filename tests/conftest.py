@@ -10,8 +10,13 @@ import numpy as np
 import pycolmap
 import pytest
 import trimesh
+from hypothesis import settings
 
 from nmbg.images import write_image
+
+# A busy machine is no failure.
+settings.register_profile("nmbg", deadline=None)
+settings.load_profile("nmbg")
 
 N_CAMERAS = 9
 SIZE = (64, 48)

@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-DOME_RADIUS = 9.0
+DOME_RADIUS = 7.0
 PANORAMA = (1024, 2048)  # finer than a photograph's pixels
 SUN = (3.0, -3.6, 5.5)  # a lamp, not a star: its shadows and highlights move with the position
 LAMP = (-4.5, 2.0, 3.5)
@@ -73,7 +73,7 @@ class Appearance:
 
         def terrace(p: Tensor) -> Tensor:
             stone = _mix((0.62, 0.5, 0.36), (0.33, 0.36, 0.4), _step(middle(p) + 0.8 * broad(p), 0.0, 0.35))
-            stone = stone * (1 + 0.12 * fine(p))[:, None]
+            stone = stone * (1 + 0.06 * fine(p))[:, None]
             tile = (p[:, :2] / 0.44).frac().abs()
             joint = torch.minimum(tile, 1 - tile).amin(1)
             parity = ((p[:, :2] / 0.44).floor().sum(1) % 2)[:, None]
@@ -83,16 +83,16 @@ class Appearance:
         def sphere(p: Tensor) -> Tensor:
             bands = torch.sin(14 * p[:, 2] + 1.4 * middle(p))
             colour = _mix((0.75, 0.12, 0.08), (0.9, 0.78, 0.55), _step(bands, 0.0, 0.05))
-            return colour * (1 + 0.1 * fine(p))[:, None]
+            return colour * (1 + 0.06 * fine(p))[:, None]
 
         def box(p: Tensor) -> Tensor:
             checks = (p / 0.12 + 0.5).floor().sum(1) % 2
             colour = _mix((0.07, 0.22, 0.42), (0.75, 0.72, 0.62), checks)
-            return colour * (0.85 + 0.3 * _step(fine(p) + broad(p), 0.0, 0.2))[:, None]
+            return colour * (0.85 + 0.3 * _step(middle(p) + 0.2 * fine(p), 0.0, 0.2))[:, None]
 
         def torus(p: Tensor) -> Tensor:
             turn = torch.atan2(p[:, 1], p[:, 0])
-            stripes = torch.sin(12 * turn + 20 * p[:, 2])
+            stripes = torch.sin(8 * turn + 12 * p[:, 2])
             return _mix((0.05, 0.3, 0.16), (0.85, 0.6, 0.1), _step(stripes, 0.3, 0.08))
 
         def knot(p: Tensor) -> Tensor:
@@ -101,11 +101,11 @@ class Appearance:
             return _mix_colours(colour, torch.tensor([0.9, 0.85, 0.8]), veins**2)
 
         self.materials = {
-            "terrace": Material(terrace, gloss=0.5, shininess=10),
+            "terrace": Material(terrace, gloss=0.7, shininess=9),
             "sphere": Material(sphere, gloss=1.0, shininess=25),
-            "box": Material(box, gloss=0.5, shininess=14),
-            "torus": Material(torus, gloss=0.9, shininess=25),
-            "knot": Material(knot, gloss=0.8, shininess=18),
+            "box": Material(box, gloss=0.8, shininess=14),
+            "torus": Material(torus, gloss=1.0, shininess=20),
+            "knot": Material(knot, gloss=1.0, shininess=16),
         }
 
     def surface(
@@ -141,7 +141,7 @@ class Appearance:
         if material.gloss:
             facing = (view * normal).sum(1, keepdim=True).clamp(0, 1)
             mirrored = self.landscape(position, 2 * facing * normal - view)
-            fresnel = 0.06 + 0.5 * (1 - facing) ** 4
+            fresnel = 0.08 + 0.5 * (1 - facing) ** 4
             colour = colour + material.gloss * (1.2 * shine + fresnel * mirrored)
         return colour
 
@@ -166,17 +166,17 @@ class Appearance:
         z = p[:, 2]
         colour = _mix((0.8, 0.72, 0.62), (0.2, 0.38, 0.68), (z / 0.6).clamp(0, 1) ** 0.6)
         colour = _mix_colours(
-            colour, torch.tensor([0.95, 0.93, 0.9]), 0.6 * _step(clouds(p), 0.4, 0.9) * (z > 0)
+            colour, torch.tensor([0.95, 0.93, 0.9]), 0.4 * _step(clouds(p), 0.4, 1.6) * (z > 0)
         )
         ridges = (
-            (0.11, 0.6, (0.52, 0.55, 0.58)),
-            (0.05, 1.0, (0.36, 0.43, 0.4)),
-            (-0.02, 1.6, (0.3, 0.34, 0.2)),
+            (0.11, 0.6, (0.58, 0.59, 0.6)),
+            (0.05, 1.0, (0.45, 0.5, 0.46)),
+            (-0.02, 1.6, (0.36, 0.4, 0.27)),
         )
         for level, scale, tint in ridges:
             ridge = level + 0.035 * hills(p * torch.tensor([scale, scale, 0.0]) + level)
-            shade = (1 + 0.18 * hills(p * scale))[:, None]
-            colour = _mix_colours(colour, torch.tensor(tint) * shade, _step(ridge - z, 0.0, 0.04))
+            shade = (1 + 0.12 * hills(p * scale))[:, None]
+            colour = _mix_colours(colour, torch.tensor(tint) * shade, _step(ridge - z, 0.0, 0.06))
         return colour.T.reshape(1, 3, height, width)
 
 

@@ -43,7 +43,7 @@ class CaptureConfig:
     height: int = 240
     samples: int = 3
     true_edge: float = 0.016
-    mesh_edge: float = 0.03
+    mesh_edge: float = 0.035
     noise: float = 0.12
     points: int = 3000
     seed: int = 0

@@ -18,7 +18,7 @@ NAME = "COLMAP model (cameras, images, points3D as .bin or .txt)"
 IMAGE_FOLDERS = ("images", "image", "photos", "rgb", "input", "")
 MESH_NAMES = ("meshed-delaunay.ply", "delaunay_photometric.ply", "meshed-poisson.ply", "mesh.ply")
 # In order of preference among models of equal size: a dense workspace has images and mesh beside its model.
-MODEL_FOLDERS = (".", "dense/sparse", "dense/*/sparse", "sparse", "sparse/*", "dense/*", "*/sparse")
+MODEL_FOLDERS = (".", "dense/sparse", "dense/*/sparse", "sparse", "sparse/*", "dense/*", "*", "*/sparse")
 
 
 def detect(source: Path) -> bool:

@@ -2,7 +2,7 @@
 
 Star-shaped around the mean training camera. In every training view the depth of uncovered pixels is filled
 from the mesh around them, favouring the far side (what shows through a hole lies behind); the shell's radius
-in each direction is what these depths agree on, and never less than what lies in that direction.
+in each direction is what these depths agree on, outside the convex hull of the cameras and of what they see.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MOST_VERTICES = 40_000
 # Exponent of the power mean that fills depth; the larger, the more the far side wins.
 FAR_EXPONENT = 12
 # The shell keeps this distance from what it must not hide, as a factor of the radius.
-CLEARANCE = 1.02
+CLEARANCE = 1.05
 # New cameras stand beside the old ones: free space as a factor of the cameras' distance from the centre.
 BEYOND_CAMERAS = 1.5
 
@@ -54,6 +54,7 @@ def far_shell(mesh: Mesh, cameras: Sequence[Camera]) -> Mesh:
             points = unproject(sight.camera, fill_depth(sight.depth, sight.covered)) - centre
             wanted.append(points[~sight.covered.numpy()])
             inside.append(points[sight.covered.numpy()])
+    # Behind the hull, not only behind each point: lines of sight start at cameras, not at the centre.
     floor = CLEARANCE * _hull_radius(np.concatenate(inside), directions)
     radius, known = _cell_median(np.concatenate(wanted), directions)
     radius = np.maximum(_smooth(radius, known, faces, default=floor.max()), floor)
@@ -110,8 +111,8 @@ def _cells(points: Floats, directions: Floats) -> npt.NDArray[np.int64]:
 def _hull_radius(points: Floats, directions: Floats) -> Floats:
     """Radius in each direction of the convex hull of points [N, 3] around the origin, or a little more.
 
-    The hull is cut out by the planes that touch it from the given directions. A segment between two points of it
-    stays inside: what cameras in the hull see in the hull, nothing outside can hide.
+    The hull is cut out by the planes that touch it from the given directions. A segment between two of its
+    points stays inside, so nothing outside can hide from a camera in the hull what lies in the hull.
     """
     chunks = torch.split(torch.from_numpy(points.astype(np.float32)), 16384)
     normals = torch.from_numpy(directions.T.astype(np.float32))
