@@ -169,12 +169,20 @@ def test_folders_without_a_capture_are_refused(tmp_path: Path) -> None:
         read_capture(tmp_path)
 
 
-@pytest.mark.parametrize("file", ["cameras.bin", "images.bin", "points3D.bin"])
-def test_damaged_models_are_refused(file: str, workspace: Path) -> None:
+@pytest.mark.parametrize("kept", [0, 4, 20, 0.5, -3])
+@pytest.mark.parametrize("file", ["cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin"])
+def test_models_that_were_cut_off_are_refused(file: str, kept: float, workspace: Path) -> None:
     path = workspace / "sparse" / "0" / file
-    path.write_bytes(path.read_bytes()[:20])
-    # A cut-off camera reads as one of another size, which its images contradict.
-    with pytest.raises(NmbgError, match=r"damaged COLMAP model|but its camera has"):
+    content = path.read_bytes()
+    path.write_bytes(content[: int(kept * len(content)) if kept == 0.5 else int(kept)])
+    with pytest.raises(NmbgError, match=rf"{file}: damaged or truncated"):
+        read_capture(workspace)
+
+
+def test_models_that_contradict_themselves_are_refused(workspace: Path) -> None:
+    model = workspace / "sparse" / "0"
+    (model / "cameras.bin").write_bytes(b"\0" * 8)  # no camera at all
+    with pytest.raises(NmbgError, match="damaged COLMAP model"):
         read_capture(workspace)
 
 

@@ -12,6 +12,7 @@ from nmbg.cameras import Camera
 from nmbg.errors import NmbgError
 from nmbg.images import SUFFIXES, image_size, undistorted_camera
 from nmbg.importers.capture import Capture, Photo
+from nmbg.importers.colmap_files import check_complete
 
 NAME = "COLMAP model (cameras, images, points3D as .bin or .txt)"
 
@@ -74,11 +75,12 @@ def _model_folders(source: Path) -> Iterator[Path]:
 def _largest_model(source: Path) -> tuple[Path, pycolmap.Reconstruction]:
     best: tuple[Path, pycolmap.Reconstruction] | None = None
     for folder in _model_folders(source):
+        check_complete(folder)
         try:
             model = pycolmap.Reconstruction(folder)
         except Exception as error:  # pycolmap passes on whatever C++ throws
             reason = " ".join(str(error).split())
-            raise NmbgError(f"{folder}: damaged COLMAP model ({reason}); export it again") from error
+            raise NmbgError(f"{folder}: damaged COLMAP model ({reason}); copy or export it again") from error
         if best is None or model.num_reg_images() > best[1].num_reg_images():
             best = folder, model
     if best is None:
