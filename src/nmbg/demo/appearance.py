@@ -101,11 +101,11 @@ class Appearance:
             return _mix_colours(colour, torch.tensor([0.9, 0.85, 0.8]), veins**2)
 
         self.materials = {
-            "terrace": Material(terrace, gloss=0.7, shininess=9),
-            "sphere": Material(sphere, gloss=1.0, shininess=25),
-            "box": Material(box, gloss=0.8, shininess=14),
-            "torus": Material(torus, gloss=1.0, shininess=20),
-            "knot": Material(knot, gloss=1.0, shininess=16),
+            "terrace": Material(terrace, gloss=0.7, shininess=7),
+            "sphere": Material(sphere, gloss=1.0, shininess=14),
+            "box": Material(box, gloss=0.8, shininess=10),
+            "torus": Material(torus, gloss=1.0, shininess=12),
+            "knot": Material(knot, gloss=1.0, shininess=10),
         }
 
     def surface(

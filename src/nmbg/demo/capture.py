@@ -44,7 +44,7 @@ class CaptureConfig:
     samples: int = 3
     true_edge: float = 0.016
     mesh_edge: float = 0.035
-    noise: float = 0.12
+    noise: float = 0.06
     points: int = 3000
     seed: int = 0
 
