@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import importlib
+import os
 import signal
 import sys
 from types import FrameType
@@ -13,6 +14,10 @@ import click
 
 from nmbg import __version__
 from nmbg.errors import NmbgError
+
+# Threads that spin while they wait slow every step down severalfold when another program wants the cores.
+# OpenMP reads this when torch loads it.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 COMMANDS = {
     "preprocess": "Turn a COLMAP workspace into a scene folder.",

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import OpenImageIO as oiio
-import pycolmap
 
+from nmbg.colmap import pycolmap
 from nmbg.errors import NmbgError
 
 Image = npt.NDArray[np.uint8]

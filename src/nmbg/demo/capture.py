@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from nmbg.atomic import atomic_folder
 from nmbg.cameras import Array, Camera
+from nmbg.colmap import pycolmap
 from nmbg.demo.appearance import SUN, Appearance, encode
 from nmbg.demo.shapes import Floats, Ints, Part, build_parts, vertex_normals
 from nmbg.images import Image, write_image

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import pycolmap
-
 from nmbg.cameras import Camera
+from nmbg.colmap import pycolmap
 
 
 @dataclass(frozen=True)

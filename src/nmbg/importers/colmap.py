@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import pycolmap
 
 from nmbg.cameras import Camera
+from nmbg.colmap import pycolmap
 from nmbg.errors import NmbgError
 from nmbg.images import SUFFIXES, image_size, undistorted_camera
 from nmbg.importers.capture import Capture, Photo

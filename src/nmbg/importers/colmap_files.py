@@ -10,8 +10,7 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 
-import pycolmap
-
+from nmbg.colmap import pycolmap
 from nmbg.errors import NmbgError
 
 POSE = 7 * 8  # rotation and translation, bytes
