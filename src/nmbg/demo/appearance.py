@@ -74,11 +74,11 @@ class Appearance:
         def terrace(p: Tensor) -> Tensor:
             stone = _mix((0.62, 0.5, 0.36), (0.33, 0.36, 0.4), _step(middle(p) + 0.8 * broad(p), 0.0, 0.35))
             stone = stone * (1 + 0.06 * fine(p))[:, None]
-            tile = (p[:, :2] / 0.44).frac().abs()
+            tile = (p[:, :2] / 0.5).frac().abs()
             joint = torch.minimum(tile, 1 - tile).amin(1)
-            parity = ((p[:, :2] / 0.44).floor().sum(1) % 2)[:, None]
+            parity = ((p[:, :2] / 0.5).floor().sum(1) % 2)[:, None]
             stone = stone * (0.72 + 0.45 * parity)
-            return torch.where(joint[:, None] < 0.04, torch.tensor([0.14, 0.13, 0.12]), stone)
+            return torch.where(joint[:, None] < 0.06, torch.tensor([0.14, 0.13, 0.12]), stone)
 
         def sphere(p: Tensor) -> Tensor:
             bands = torch.sin(14 * p[:, 2] + 1.4 * middle(p))
@@ -86,7 +86,7 @@ class Appearance:
             return colour * (1 + 0.06 * fine(p))[:, None]
 
         def box(p: Tensor) -> Tensor:
-            checks = (p / 0.12 + 0.5).floor().sum(1) % 2
+            checks = (p / 0.144 + 0.5).floor().sum(1) % 2
             colour = _mix((0.07, 0.22, 0.42), (0.75, 0.72, 0.62), checks)
             return colour * (0.85 + 0.3 * _step(middle(p) + 0.2 * fine(p), 0.0, 0.2))[:, None]
 
