@@ -2,6 +2,7 @@
 #include <pybind11/pybind11.h>
 
 namespace nmbg {
+void bind_blend_photos(pybind11::module_& m);
 void bind_build(pybind11::module_& m);
 void bind_rasterize_faces(pybind11::module_& m);
 void bind_rasterize_points(pybind11::module_& m);
@@ -14,4 +15,5 @@ PYBIND11_MODULE(_core, m) {
     nmbg::bind_rasterize_points(m);
     nmbg::bind_rasterize_faces(m);
     nmbg::bind_shade(m);
+    nmbg::bind_blend_photos(m);
 }

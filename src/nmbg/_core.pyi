@@ -1,5 +1,7 @@
 """Types of the compiled kernels; nmbg.ops is their public face."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -41,3 +43,26 @@ def shade_backward_pixels(
     coeffs: _Float,
     threads: int,
 ) -> tuple[_Float, _Float]: ...
+
+class Blending:
+    def __init__(
+        self,
+        depth: _Float,
+        warps: _Float,
+        intrinsics: _Float,
+        focal: float,
+        photos: Sequence[npt.NDArray[np.generic]],
+        photo_depths: Sequence[_Float],
+        keep: int,
+        angle: float,
+        tolerance: float,
+        border: float,
+        threads: int,
+    ) -> None: ...
+    def forward(self, each: bool) -> tuple[_Float, _Float, _Float, _Int, _Float, _Float]: ...
+    def backward(
+        self, sources: _Int, grad_colour: _Float, grad_weight: _Float, grad_variance: _Float
+    ) -> tuple[_Float, _Float]: ...
+    def backward_texels(
+        self, sources: _Int, grad_colour: _Float, grad_weight: _Float, grad_variance: _Float
+    ) -> list[_Float]: ...

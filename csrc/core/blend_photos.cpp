@@ -1,0 +1,476 @@
+#include "core/blend_photos.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+
+#include "core/check.h"
+#include "core/dual.h"
+#include "core/parallel.h"
+
+// One binary for all x86-64: the loader picks the widest vectors that the processor has.
+#if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__)
+#define NMBG_WIDEST __attribute__((target_clones("default", "arch=haswell", "arch=skylake-avx512")))
+#else
+#define NMBG_WIDEST
+#endif
+
+namespace nmbg {
+namespace {
+
+using std::abs;
+using std::log2;
+using std::sqrt;
+
+template <class S>
+S lesser(const S& a, const S& b) {
+    return b < a ? b : a;
+}
+
+template <class S>
+S within_unit(const S& x) {
+    return x < S(0) ? S(0) : x > S(1) ? S(1) : x;
+}
+
+// Angles below this do not tell sources apart; rounds off the cone of the angle at zero.
+constexpr double least_angle = 1e-3;
+// Share of their own score that sources keep when the next one is as good: all equal, all count the same.
+constexpr double least_share = 1e-4;
+// Coarser mip levels are read only from this many halvings on: bilinear weights blur enough before.
+constexpr double sharpness = 0.5;
+
+// Where a source sees a point, and how well but for visibility.
+template <class S>
+struct Sight {
+    S u, v;   // px, held within a pixel of the photograph
+    S z;      // view-space depth
+    S finer;  // source pixels per pixel of the new view
+    S score;
+};
+
+// g: the point in the source's camera. q: the new view's ray there, of any length. z: its depth in the new
+// view.
+template <class S, class T, class Texel>
+inline Sight<S> look(const Photo<T, Texel>& photo, const BlendRule<T>& rule, T focal, const S& z,
+                     const std::array<S, 3>& g, const std::array<S, 3>& q) {
+    const T* K = photo.intrinsics;
+    const T w = static_cast<T>(photo.width), h = static_cast<T>(photo.height);
+    const bool front = g[2] > S(0) && z > S(0);
+    const S inverse = S(1) / (front ? g[2] : S(1));
+    const S u = (K[0] * g[0] + K[1] * g[1]) * inverse + S(K[2]);
+    const S v = K[4] * g[1] * inverse + S(K[5]);
+    // Written so that a value that is not a number ends at the border, with score 0.
+    const S bounded_u = u > S(-1) ? lesser(u, S(w + 1)) : S(-1);
+    const S bounded_v = v > S(-1) ? lesser(v, S(h + 1)) : S(-1);
+    const S inside = lesser(lesser(bounded_u, S(w) - bounded_u), lesser(bounded_v, S(h) - bounded_v));
+    const S border = within_unit(inside * S(1 / rule.border));
+
+    const S along_g = S(1) / sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2] + S(1e-30));
+    const S along_q = S(1) / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + S(1e-30));
+    S chord = S(T(least_angle * least_angle));
+    for (int i = 0; i < 3; ++i) {
+        const S d = g[i] * along_g - q[i] * along_q;
+        chord += d * d;
+    }
+    const S near = S(1) / (S(1) + sqrt(chord) * S(1 / rule.angle));
+    const S finer = S(K[0] / focal) * z * inverse;
+    const S score = border * (near * near) * (near * near) * lesser(finer, S(1));
+    return {bounded_u, bounded_v, g[2], finer, front ? score : S(0)};
+}
+
+// 1 on the surface that the source sees, 0 in front of it and behind.
+template <class S, class T>
+inline S visible(const S& z, T surface, T tolerance) {
+    const T known = surface > 0 ? surface : T(1);
+    const S share = within_unit(S(2) - abs(z - S(known)) * S(1 / (tolerance * known)));
+    return surface > 0 ? share : S(0);
+}
+
+// The four pixels around a place, their bilinear weights.
+template <class S>
+struct Footprint {
+    int32_t x[2], y[2];
+    S fx, fy;
+
+    Footprint(const S& u, const S& v, int32_t width, int32_t height) {
+        const S left = u - S(0.5), top = v - S(0.5);
+        const auto i = static_cast<int32_t>(std::floor(value_of(left)));
+        const auto j = static_cast<int32_t>(std::floor(value_of(top)));
+        fx = left - S(static_cast<decltype(value_of(left))>(i));
+        fy = top - S(static_cast<decltype(value_of(top))>(j));
+        for (int n = 0; n < 2; ++n) {
+            x[n] = std::clamp(i + n, 0, width - 1);
+            y[n] = std::clamp(j + n, 0, height - 1);
+        }
+    }
+
+    S weight(int n) const { return (n & 1 ? fx : S(1) - fx) * (n & 2 ? fy : S(1) - fy); }
+    int64_t offset(int n, int32_t width) const { return int64_t{y[n >> 1]} * width + x[n & 1]; }
+};
+
+template <class S, class T, class Texel>
+inline S visibility(const Photo<T, Texel>& photo, const BlendRule<T>& rule, const Sight<S>& sight) {
+    const Footprint<S> four(sight.u, sight.v, photo.width, photo.height);
+    S sum(0);
+    for (int n = 0; n < 4; ++n)
+        sum += four.weight(n) * visible(sight.z, photo.depth[four.offset(n, photo.width)], rule.tolerance);
+    return sum;
+}
+
+// Calls visit(texel, weight) for the texels whose weighted sum is the colour that the source shows; the
+// weights sum to one. At the finest level only texels of the visible surface count: what lies beyond an edge
+// does not bleed.
+template <class S, class T, class Texel, class Visit>
+void visit_texels(const Photo<T, Texel>& photo, const BlendRule<T>& rule, const Sight<S>& sight,
+                  const Visit& visit) {
+    int32_t width = photo.width, height = photo.height;
+    const S level = log2(sight.finer) - S(T(sharpness));
+    S fine_share = level > S(0) ? within_unit(S(1) - level) : S(1);
+    if (fine_share > S(0)) {
+        const Footprint<S> four(sight.u, sight.v, width, height);
+        std::array<S, 4> weight;
+        S sum(0);
+        for (int n = 0; n < 4; ++n) {
+            weight[n] = four.weight(n) * visible(sight.z, photo.depth[four.offset(n, width)], rule.tolerance);
+            sum += weight[n];
+        }
+        if (sum > S(0))
+            for (int n = 0; n < 4; ++n) visit(four.offset(n, width), fine_share * weight[n] / sum);
+    }
+    int64_t first = 0;
+    T scale = 1;
+    for (int l = 1; level > S(T(l - 1)) && (width > 1 || height > 1); ++l) {
+        first += int64_t{width} * height;
+        width = (width + 1) / 2, height = (height + 1) / 2;
+        scale /= 2;
+        const bool last = width == 1 && height == 1;
+        const S distance = abs(level - S(T(l)));
+        const S share = last && level > S(T(l)) ? S(1) : within_unit(S(1) - distance);
+        if (!(share > S(0))) continue;
+        const Footprint<S> four(S(scale) * sight.u, S(scale) * sight.v, width, height);
+        for (int n = 0; n < 4; ++n) visit(first + four.offset(n, width), share * four.weight(n));
+    }
+}
+
+template <class T>
+T unit(uint8_t byte) {
+    return T(byte) * T(1.0 / 255);
+}
+template <class T>
+T unit(T value) {
+    return value;
+}
+
+// A source's score at a point and the colour that it shows there.
+template <class S>
+struct Shown {
+    S score;
+    std::array<S, 3> colour{};
+};
+
+template <class S, class T, class Texel>
+Shown<S> show(const Photo<T, Texel>& photo, const BlendRule<T>& rule, T focal, const S& z,
+              const std::array<S, 3>& g, const std::array<S, 3>& q) {
+    const Sight<S> sight = look(photo, rule, focal, z, g, q);
+    Shown<S> shown{S(0), {S(0), S(0), S(0)}};
+    if (!(sight.score > S(0))) return shown;
+    shown.score = sight.score * visibility(photo, rule, sight);
+    if (!(shown.score > S(0))) return shown;
+    visit_texels(photo, rule, sight, [&](int64_t texel, const S& weight) {
+        for (int c = 0; c < 3; ++c) shown.colour[c] += weight * S(unit<T>(photo.texels[3 * texel + c]));
+    });
+    return shown;
+}
+
+// The new view's ray and the surface point in the camera of a source.
+template <class T>
+struct Point {
+    std::array<T, 3> q, g;
+
+    Point(const T* warp, T x, T y, T z) {
+        for (int i = 0; i < 3; ++i) {
+            q[i] = warp[4 * i] * x + warp[4 * i + 1] * y + warp[4 * i + 2];
+            g[i] = z * q[i] + warp[4 * i + 3];
+        }
+    }
+};
+
+// A depth to compute with: 0 stands for everything that is no depth.
+template <class T>
+inline T usable(T z) {
+    return z > 0 && z < std::numeric_limits<T>::max() ? z : T(0);
+}
+
+// What a pixel's sources give: their weights, and the sums over them.
+template <class T>
+struct Mixture {
+    std::array<Shown<T>, most_sources + 1> shown{};
+    std::array<T, most_sources> weight{}, deviation{};  // normalised weight; squared distance from the mean
+    std::array<T, 3> colour{};
+    T total = 0, variance = 0;
+    int count = 0;  // sources with a weight
+
+    Mixture(const std::array<Shown<T>, most_sources + 1>& all, int chosen, int keep) : shown(all) {
+        count = std::min(chosen, keep);
+        const T bar = chosen > keep ? T(1 - least_share) * shown[keep].score : T(0);
+        for (int i = 0; i < count; ++i) total += weight[i] = std::max(T(0), shown[i].score - bar);
+        if (!(total > 0)) {
+            weight = {};
+            count = 0;
+            return;
+        }
+        for (int i = 0; i < count; ++i) {
+            weight[i] /= total;
+            for (int c = 0; c < 3; ++c) colour[c] += weight[i] * shown[i].colour[c];
+        }
+        for (int i = 0; i < count; ++i) {
+            for (int c = 0; c < 3; ++c) {
+                const T d = shown[i].colour[c] - colour[c];
+                deviation[i] += d * d / 3;
+            }
+            variance += weight[i] * deviation[i];
+        }
+    }
+};
+
+template <class T, class Texel>
+Mixture<T> mix(const Blending<T, Texel>& b, const int32_t* sources, T x, T y, T z) {
+    std::array<Shown<T>, most_sources + 1> shown{};
+    int chosen = 0;
+    const int32_t count = static_cast<int32_t>(b.photos.size());
+    for (; chosen <= b.rule.keep; ++chosen) {
+        const int32_t s = checked("sources", sources[chosen], -1, count);
+        if (s < 0) break;
+        const Photo<T, Texel>& photo = b.photos[s];
+        const Point<T> point(photo.warp, x, y, z);
+        shown[chosen] = show<T>(photo, b.rule, b.focal, z, point.g, point.q);
+    }
+    return Mixture<T>(shown, chosen, b.rule.keep);
+}
+
+// Pixels of a row that are scored together.
+constexpr int lanes = 64;
+
+template <class T>
+struct Ranking {
+    T score[most_sources + 1][lanes];
+    int32_t source[most_sources + 1][lanes];
+};
+
+// Let a source compete for the pixels (x0 …, y).
+template <class T, class Texel>
+inline void rank_source(const Blending<T, Texel>& b, int32_t s, const T* depth, int32_t x0, int32_t y, int n,
+                        Ranking<T>& best) {
+    const Photo<T, Texel>& photo = b.photos[s];
+    T score[lanes];
+#pragma omp simd
+    for (int i = 0; i < n; ++i) {
+        const T z = usable(depth[i]);
+        const Point<T> point(photo.warp, T(x0 + i) + T(0.5), T(y) + T(0.5), z);
+        const Sight<T> sight = look<T>(photo, b.rule, b.focal, z, point.g, point.q);
+        score[i] = sight.score * visibility(photo, b.rule, sight);
+    }
+    int32_t id[lanes];
+    for (int i = 0; i < n; ++i) id[i] = s;
+    for (int rank = 0; rank <= b.rule.keep; ++rank) {
+#pragma omp simd
+        for (int i = 0; i < n; ++i) {
+            const bool better = score[i] > best.score[rank][i];
+            const T old_score = best.score[rank][i];
+            const int32_t old_source = best.source[rank][i];
+            best.score[rank][i] = better ? score[i] : old_score;
+            best.source[rank][i] = better ? id[i] : old_source;
+            score[i] = better ? old_score : score[i];
+            id[i] = better ? old_source : id[i];
+        }
+    }
+}
+
+template <class T, class Texel>
+inline void rank_all(const Blending<T, Texel>& b, const T* depth, int32_t x0, int32_t y, int n,
+                     Ranking<T>& best) {
+    for (int rank = 0; rank <= b.rule.keep; ++rank)
+        for (int i = 0; i < lanes; ++i) best.score[rank][i] = 0, best.source[rank][i] = -1;
+    for (std::size_t s = 0; s < b.photos.size(); ++s)
+        rank_source(b, static_cast<int32_t>(s), depth, x0, y, n, best);
+}
+
+NMBG_WIDEST void rank(const Blending<float, uint8_t>& b, const float* depth, int32_t x0, int32_t y, int n,
+                      Ranking<float>& best) {
+    rank_all(b, depth, x0, y, n, best);
+}
+NMBG_WIDEST void rank(const Blending<float, float>& b, const float* depth, int32_t x0, int32_t y, int n,
+                      Ranking<float>& best) {
+    rank_all(b, depth, x0, y, n, best);
+}
+template <class Texel>
+void rank(const Blending<double, Texel>& b, const double* depth, int32_t x0, int32_t y, int n,
+          Ranking<double>& best) {
+    rank_all(b, depth, x0, y, n, best);
+}
+
+}  // namespace
+
+template <class T, class Texel>
+void blend_photos(const Blending<T, Texel>& b, const BlendResult<T>& out) {
+    const int keep = b.rule.keep;
+    const int64_t pixels = int64_t{b.height} * b.width;
+    parallel_for(b.height, b.threads, [&](int64_t y) {
+        Ranking<T> best;
+        for (int32_t x0 = 0; x0 < b.width; x0 += lanes) {
+            const int n = std::min<int32_t>(lanes, b.width - x0);
+            const int64_t first = y * b.width + x0;
+            rank(b, b.depth + first, x0, static_cast<int32_t>(y), n, best);
+            for (int i = 0; i < n; ++i) {
+                const int64_t pixel = first + i;
+                int32_t* chosen = out.sources + (keep + 1) * pixel;
+                for (int rank = 0; rank <= keep; ++rank) chosen[rank] = best.source[rank][i];
+                const Mixture<T> mixture =
+                    mix(b, chosen, T(x0 + i) + T(0.5), T(y) + T(0.5), usable(b.depth[pixel]));
+                for (int c = 0; c < 3; ++c) out.colour[c * pixels + pixel] = mixture.colour[c];
+                out.weight[pixel] = mixture.shown[0].score;
+                out.variance[pixel] = mixture.variance;
+                for (int k = 0; k < keep; ++k) {
+                    out.weights[k * pixels + pixel] = mixture.weight[k];
+                    if (out.shown)
+                        for (int c = 0; c < 3; ++c)
+                            out.shown[(3 * k + c) * pixels + pixel] = mixture.shown[k].colour[c];
+                }
+            }
+        }
+    });
+}
+
+namespace {
+
+// Gradients of a pixel's outputs with respect to its sources' scores and colours.
+template <class T>
+struct MixtureGradient {
+    std::array<T, most_sources + 1> score{};
+    std::array<std::array<T, 3>, most_sources> colour{};
+
+    MixtureGradient(const Mixture<T>& m, const BlendGradient<T>& grad, int64_t pixel, int64_t pixels,
+                    int keep) {
+        score[0] = grad.weight[pixel];
+        const T to_variance = grad.variance[pixel];
+        std::array<T, most_sources> to_weight{};
+        T mean = 0;
+        for (int i = 0; i < m.count; ++i) {
+            to_weight[i] = to_variance * m.deviation[i];
+            for (int c = 0; c < 3; ++c) {
+                const T to_colour = grad.colour[c * pixels + pixel];
+                to_weight[i] += to_colour * m.shown[i].colour[c];
+                colour[i][c] = m.weight[i] *
+                               (to_colour + to_variance * T(2.0 / 3) * (m.shown[i].colour[c] - m.colour[c]));
+            }
+            mean += m.weight[i] * to_weight[i];
+        }
+        for (int i = 0; i < m.count; ++i) {
+            if (!(m.weight[i] > 0)) continue;
+            const T to_score = (to_weight[i] - mean) / m.total;
+            score[i] += to_score;
+            score[keep] -= T(1 - least_share) * to_score;
+        }
+    }
+};
+
+}  // namespace
+
+template <class T, class Texel>
+void blend_photos_backward(const Blending<T, Texel>& b, const int32_t* sources, const BlendGradient<T>& grad,
+                           T* grad_depth, T* grad_warps) {
+    using S = Dual<T, 7>;  // of g, q and z
+    const int keep = b.rule.keep;
+    const int64_t pixels = int64_t{b.height} * b.width, count = static_cast<int64_t>(b.photos.size());
+    // Bands of rows have sums of their own, added up in order: the same bits for any number of threads.
+    constexpr int64_t band = 16;
+    const int64_t bands = (b.height + band - 1) / band;
+    std::vector<T> partial(bands * count * 12, T(0));
+    parallel_for(bands, b.threads, [&](int64_t which) {
+        T* warps = partial.data() + which * count * 12;
+        for (int64_t y = which * band; y < std::min<int64_t>(b.height, (which + 1) * band); ++y) {
+            for (int32_t x = 0; x < b.width; ++x) {
+                const int64_t pixel = y * b.width + x;
+                const int32_t* chosen = sources + (keep + 1) * pixel;
+                const T p[3] = {T(x) + T(0.5), T(y) + T(0.5), T(1)}, z = usable(b.depth[pixel]);
+                const Mixture<T> mixture = mix(b, chosen, p[0], p[1], z);
+                const MixtureGradient<T> down(mixture, grad, pixel, pixels, keep);
+                T to_depth = 0;
+                for (int k = 0; k <= keep && chosen[k] >= 0; ++k) {
+                    const Photo<T, Texel>& photo = b.photos[chosen[k]];
+                    const Point<T> point(photo.warp, p[0], p[1], z);
+                    std::array<S, 3> g, q;
+                    for (int i = 0; i < 3; ++i) {
+                        g[i] = S::variable(point.g[i], i);
+                        q[i] = S::variable(point.q[i], 3 + i);
+                    }
+                    const Shown<S> shown = show<S>(photo, b.rule, b.focal, S::variable(z, 6), g, q);
+                    std::array<T, 7> slope;
+                    for (int i = 0; i < 7; ++i) {
+                        slope[i] = down.score[k] * shown.score.slope[i];
+                        if (k < keep)
+                            for (int c = 0; c < 3; ++c)
+                                slope[i] += down.colour[k][c] * shown.colour[c].slope[i];
+                    }
+                    T* warp = warps + 12 * int64_t{chosen[k]};
+                    to_depth += slope[6];
+                    for (int i = 0; i < 3; ++i) {
+                        to_depth += slope[i] * point.q[i];
+                        for (int j = 0; j < 3; ++j) warp[4 * i + j] += (z * slope[i] + slope[3 + i]) * p[j];
+                        warp[4 * i + 3] += slope[i];
+                    }
+                }
+                grad_depth[pixel] = to_depth;
+            }
+        }
+    });
+    std::fill(grad_warps, grad_warps + count * 12, T(0));
+    for (int64_t which = 0; which < bands; ++which)
+        for (int64_t i = 0; i < count * 12; ++i) grad_warps[i] += partial[which * count * 12 + i];
+}
+
+template <class T>
+void blend_photos_backward_texels(const Blending<T, T>& b, const int32_t* sources,
+                                  const BlendGradient<T>& grad, const std::vector<T*>& grad_texels) {
+    const int keep = b.rule.keep;
+    const int64_t pixels = int64_t{b.height} * b.width;
+    // A photograph belongs to one thread, which visits the pixels in order.
+    parallel_for(static_cast<int64_t>(b.photos.size()), b.threads, [&](int64_t s) {
+        const Photo<T, T>& photo = b.photos[s];
+        for (int64_t pixel = 0; pixel < pixels; ++pixel) {
+            const int32_t* chosen = sources + (keep + 1) * pixel;
+            const auto k = std::find(chosen, chosen + keep, static_cast<int32_t>(s)) - chosen;
+            if (k == keep) continue;
+            const T x = T(pixel % b.width) + T(0.5), y = T(pixel / b.width) + T(0.5),
+                    z = usable(b.depth[pixel]);
+            const Mixture<T> mixture = mix(b, chosen, x, y, z);
+            if (!(mixture.shown[k].score > 0)) continue;
+            const MixtureGradient<T> down(mixture, grad, pixel, pixels, keep);
+            const Point<T> point(photo.warp, x, y, z);
+            const Sight<T> sight = look<T>(photo, b.rule, b.focal, z, point.g, point.q);
+            visit_texels(photo, b.rule, sight, [&](int64_t texel, T weight) {
+                for (int c = 0; c < 3; ++c) grad_texels[s][3 * texel + c] += weight * down.colour[k][c];
+            });
+        }
+    });
+}
+
+template void blend_photos(const Blending<float, uint8_t>&, const BlendResult<float>&);
+template void blend_photos(const Blending<float, float>&, const BlendResult<float>&);
+template void blend_photos(const Blending<double, uint8_t>&, const BlendResult<double>&);
+template void blend_photos(const Blending<double, double>&, const BlendResult<double>&);
+template void blend_photos_backward(const Blending<float, uint8_t>&, const int32_t*,
+                                    const BlendGradient<float>&, float*, float*);
+template void blend_photos_backward(const Blending<float, float>&, const int32_t*,
+                                    const BlendGradient<float>&, float*, float*);
+template void blend_photos_backward(const Blending<double, uint8_t>&, const int32_t*,
+                                    const BlendGradient<double>&, double*, double*);
+template void blend_photos_backward(const Blending<double, double>&, const int32_t*,
+                                    const BlendGradient<double>&, double*, double*);
+template void blend_photos_backward_texels(const Blending<float, float>&, const int32_t*,
+                                           const BlendGradient<float>&, const std::vector<float*>&);
+template void blend_photos_backward_texels(const Blending<double, double>&, const int32_t*,
+                                           const BlendGradient<double>&, const std::vector<double*>&);
+
+}  // namespace nmbg
