@@ -15,6 +15,12 @@
 #else
 #define NMBG_WIDEST
 #endif
+// Into every clone: what is not inlined is compiled once, for the narrowest.
+#if defined(__GNUC__)
+#define NMBG_INLINE inline __attribute__((always_inline))
+#else
+#define NMBG_INLINE inline
+#endif
 
 namespace nmbg {
 namespace {
@@ -23,14 +29,24 @@ using std::abs;
 using std::log2;
 using std::sqrt;
 
+// What follows, as far as it is inlined always, is computed for many pixels at a time: it selects instead of
+// branching, one comparison a selection, and passes scalars by value.
+
 template <class S>
-S lesser(const S& a, const S& b) {
+NMBG_INLINE S lesser(S a, S b) {
     return b < a ? b : a;
 }
 
 template <class S>
-S within_unit(const S& x) {
-    return x < S(0) ? S(0) : x > S(1) ? S(1) : x;
+NMBG_INLINE S within_unit(S x) {
+    const S capped = lesser(S(1), x);
+    return capped > S(0) ? capped : S(0);  // 0 for what is not a number, too
+}
+
+// i, but at least 0 and at most `last`.
+NMBG_INLINE int32_t held(int32_t i, int32_t last) {
+    const int32_t capped = i < last ? i : last;
+    return capped > 0 ? capped : 0;
 }
 
 // Angles below this do not tell sources apart; rounds off the cone of the angle at zero.
@@ -52,70 +68,67 @@ struct Sight {
 // g: the point in the source's camera. q: the new view's ray there, of any length. z: its depth in the new
 // view.
 template <class S, class T, class Texel>
-inline Sight<S> look(const Photo<T, Texel>& photo, const BlendRule<T>& rule, T focal, const S& z,
-                     const std::array<S, 3>& g, const std::array<S, 3>& q) {
+NMBG_INLINE Sight<S> look(const Photo<T, Texel>& photo, const BlendRule<T>& rule, T focal, S z, S gx, S gy,
+                          S gz, S qx, S qy, S qz) {
     const T* K = photo.intrinsics;
     const T w = static_cast<T>(photo.width), h = static_cast<T>(photo.height);
-    const bool front = g[2] > S(0) && z > S(0);
-    const S inverse = S(1) / (front ? g[2] : S(1));
-    const S u = (K[0] * g[0] + K[1] * g[1]) * inverse + S(K[2]);
-    const S v = K[4] * g[1] * inverse + S(K[5]);
-    // Written so that a value that is not a number ends at the border, with score 0.
-    const S bounded_u = u > S(-1) ? lesser(u, S(w + 1)) : S(-1);
-    const S bounded_v = v > S(-1) ? lesser(v, S(h + 1)) : S(-1);
-    const S inside = lesser(lesser(bounded_u, S(w) - bounded_u), lesser(bounded_v, S(h) - bounded_v));
+    const bool front = lesser(gz, z) > S(0);
+    const S inverse = S(1) / (front ? gz : S(1));
+    const S u = lesser(S(w + 1), (K[0] * gx + K[1] * gy) * inverse + S(K[2]));
+    const S v = lesser(S(h + 1), K[4] * gy * inverse + S(K[5]));
+    // A value that is not a number ends at the border, with score 0.
+    const S held_u = u > S(-1) ? u : S(-1);
+    const S held_v = v > S(-1) ? v : S(-1);
+    const S inside = lesser(lesser(held_u, S(w) - held_u), lesser(held_v, S(h) - held_v));
     const S border = within_unit(inside * S(1 / rule.border));
 
-    const S along_g = S(1) / sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2] + S(1e-30));
-    const S along_q = S(1) / sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + S(1e-30));
-    S chord = S(T(least_angle * least_angle));
-    for (int i = 0; i < 3; ++i) {
-        const S d = g[i] * along_g - q[i] * along_q;
-        chord += d * d;
-    }
-    const S near = S(1) / (S(1) + sqrt(chord) * S(1 / rule.angle));
+    const S along_g = S(1) / sqrt(gx * gx + gy * gy + gz * gz + S(T(1e-30)));
+    const S along_q = S(1) / sqrt(qx * qx + qy * qy + qz * qz + S(T(1e-30)));
+    const S dx = gx * along_g - qx * along_q, dy = gy * along_g - qy * along_q,
+            dz = gz * along_g - qz * along_q;
+    const S angle = sqrt(dx * dx + dy * dy + dz * dz + S(T(least_angle * least_angle)));
+    const S near = S(1) / (S(1) + angle * S(1 / rule.angle));
     const S finer = S(K[0] / focal) * z * inverse;
     const S score = border * (near * near) * (near * near) * lesser(finer, S(1));
-    return {bounded_u, bounded_v, g[2], finer, front ? score : S(0)};
+    return {held_u, held_v, gz, finer, front ? score : S(0)};
 }
 
 // 1 on the surface that the source sees, 0 in front of it and behind.
 template <class S, class T>
-inline S visible(const S& z, T surface, T tolerance) {
+NMBG_INLINE S visible(S z, T surface, T tolerance) {
     const T known = surface > 0 ? surface : T(1);
     const S share = within_unit(S(2) - abs(z - S(known)) * S(1 / (tolerance * known)));
     return surface > 0 ? share : S(0);
 }
 
-// The four pixels around a place, their bilinear weights.
+// The four pixels around a place, and its distance from the first.
 template <class S>
 struct Footprint {
-    int32_t x[2], y[2];
+    int32_t x0, x1, y0, y1;
     S fx, fy;
 
-    Footprint(const S& u, const S& v, int32_t width, int32_t height) {
+    NMBG_INLINE Footprint(S u, S v, int32_t width, int32_t height) {
         const S left = u - S(0.5), top = v - S(0.5);
         const auto i = static_cast<int32_t>(std::floor(value_of(left)));
         const auto j = static_cast<int32_t>(std::floor(value_of(top)));
         fx = left - S(static_cast<decltype(value_of(left))>(i));
         fy = top - S(static_cast<decltype(value_of(top))>(j));
-        for (int n = 0; n < 2; ++n) {
-            x[n] = std::clamp(i + n, 0, width - 1);
-            y[n] = std::clamp(j + n, 0, height - 1);
-        }
+        x0 = held(i, width - 1), x1 = held(i + 1, width - 1);
+        y0 = held(j, height - 1) * width, y1 = held(j + 1, height - 1) * width;
     }
 
-    S weight(int n) const { return (n & 1 ? fx : S(1) - fx) * (n & 2 ? fy : S(1) - fy); }
-    int64_t offset(int n, int32_t width) const { return int64_t{y[n >> 1]} * width + x[n & 1]; }
+    // Bilinear weight and offset of pixel n in [0, 4).
+    NMBG_INLINE S weight(int n) const { return (n & 1 ? fx : S(1) - fx) * (n & 2 ? fy : S(1) - fy); }
+    NMBG_INLINE int32_t offset(int n) const { return (n & 2 ? y1 : y0) + (n & 1 ? x1 : x0); }
 };
 
 template <class S, class T, class Texel>
-inline S visibility(const Photo<T, Texel>& photo, const BlendRule<T>& rule, const Sight<S>& sight) {
+NMBG_INLINE S visibility(const Photo<T, Texel>& photo, const BlendRule<T>& rule, Sight<S> sight) {
     const Footprint<S> four(sight.u, sight.v, photo.width, photo.height);
-    S sum(0);
-    for (int n = 0; n < 4; ++n)
-        sum += four.weight(n) * visible(sight.z, photo.depth[four.offset(n, photo.width)], rule.tolerance);
-    return sum;
+    const auto seen = [&](int n) {
+        return four.weight(n) * visible(sight.z, photo.depth[four.offset(n)], rule.tolerance);
+    };
+    return (seen(0) + seen(1)) + (seen(2) + seen(3));
 }
 
 // Calls visit(texel, weight) for the texels whose weighted sum is the colour that the source shows; the
@@ -126,17 +139,18 @@ void visit_texels(const Photo<T, Texel>& photo, const BlendRule<T>& rule, const 
                   const Visit& visit) {
     int32_t width = photo.width, height = photo.height;
     const S level = log2(sight.finer) - S(T(sharpness));
-    S fine_share = level > S(0) ? within_unit(S(1) - level) : S(1);
+    const bool coarser = width > 1 || height > 1;  // are there levels but the finest?
+    const S fine_share = coarser && level > S(0) ? within_unit(S(1) - level) : S(1);
     if (fine_share > S(0)) {
         const Footprint<S> four(sight.u, sight.v, width, height);
         std::array<S, 4> weight;
         S sum(0);
         for (int n = 0; n < 4; ++n) {
-            weight[n] = four.weight(n) * visible(sight.z, photo.depth[four.offset(n, width)], rule.tolerance);
+            weight[n] = four.weight(n) * visible(sight.z, photo.depth[four.offset(n)], rule.tolerance);
             sum += weight[n];
         }
         if (sum > S(0))
-            for (int n = 0; n < 4; ++n) visit(four.offset(n, width), fine_share * weight[n] / sum);
+            for (int n = 0; n < 4; ++n) visit(four.offset(n), fine_share * weight[n] / sum);
     }
     int64_t first = 0;
     T scale = 1;
@@ -149,7 +163,7 @@ void visit_texels(const Photo<T, Texel>& photo, const BlendRule<T>& rule, const 
         const S share = last && level > S(T(l)) ? S(1) : within_unit(S(1) - distance);
         if (!(share > S(0))) continue;
         const Footprint<S> four(S(scale) * sight.u, S(scale) * sight.v, width, height);
-        for (int n = 0; n < 4; ++n) visit(first + four.offset(n, width), share * four.weight(n));
+        for (int n = 0; n < 4; ++n) visit(first + four.offset(n), share * four.weight(n));
     }
 }
 
@@ -170,9 +184,9 @@ struct Shown {
 };
 
 template <class S, class T, class Texel>
-Shown<S> show(const Photo<T, Texel>& photo, const BlendRule<T>& rule, T focal, const S& z,
-              const std::array<S, 3>& g, const std::array<S, 3>& q) {
-    const Sight<S> sight = look(photo, rule, focal, z, g, q);
+Shown<S> show(const Photo<T, Texel>& photo, const BlendRule<T>& rule, T focal, const S& z, const S* g,
+              const S* q) {
+    const Sight<S> sight = look(photo, rule, focal, z, g[0], g[1], g[2], q[0], q[1], q[2]);
     Shown<S> shown{S(0), {S(0), S(0), S(0)}};
     if (!(sight.score > S(0))) return shown;
     shown.score = sight.score * visibility(photo, rule, sight);
@@ -183,24 +197,31 @@ Shown<S> show(const Photo<T, Texel>& photo, const BlendRule<T>& rule, T focal, c
     return shown;
 }
 
+// A depth to compute with: 0 stands for everything that is no depth.
+template <class T>
+NMBG_INLINE T usable(T z) {
+    const T finite = z < std::numeric_limits<T>::max() ? z : T(0);
+    return finite > 0 ? finite : T(0);
+}
+
+// A coordinate of the new view's ray in the camera of a source; `row` is of its warp.
+template <class T>
+NMBG_INLINE T along(const T* row, T x, T y) {
+    return row[0] * x + row[1] * y + row[2];
+}
+
 // The new view's ray and the surface point in the camera of a source.
 template <class T>
 struct Point {
-    std::array<T, 3> q, g;
+    T q[3], g[3];
 
     Point(const T* warp, T x, T y, T z) {
         for (int i = 0; i < 3; ++i) {
-            q[i] = warp[4 * i] * x + warp[4 * i + 1] * y + warp[4 * i + 2];
+            q[i] = along(warp + 4 * i, x, y);
             g[i] = z * q[i] + warp[4 * i + 3];
         }
     }
 };
-
-// A depth to compute with: 0 stands for everything that is no depth.
-template <class T>
-inline T usable(T z) {
-    return z > 0 && z < std::numeric_limits<T>::max() ? z : T(0);
-}
 
 // What a pixel's sources give: their weights, and the sums over them.
 template <class T>
@@ -260,23 +281,33 @@ struct Ranking {
 
 // Let a source compete for the pixels (x0 …, y).
 template <class T, class Texel>
-inline void rank_source(const Blending<T, Texel>& b, int32_t s, const T* depth, int32_t x0, int32_t y, int n,
-                        Ranking<T>& best) {
-    const Photo<T, Texel>& photo = b.photos[s];
+NMBG_INLINE void rank_source(const Blending<T, Texel>& b, int32_t s, const T* depth, int32_t x0, int32_t y,
+                             int n, Ranking<T>& best) {
+    // Copies on the stack: the compiler then knows that the loop does not write to them.
+    Photo<T, Texel> photo = b.photos[s];
+    T warp[12], intrinsics[9];
+    std::copy_n(photo.warp, 12, warp), photo.warp = warp;
+    std::copy_n(photo.intrinsics, 9, intrinsics), photo.intrinsics = intrinsics;
+    const BlendRule<T> rule = b.rule;
+    const T focal = b.focal;
+    const T row = T(y) + T(0.5);
     T score[lanes];
 #pragma omp simd
     for (int i = 0; i < n; ++i) {
         const T z = usable(depth[i]);
-        const Point<T> point(photo.warp, T(x0 + i) + T(0.5), T(y) + T(0.5), z);
-        const Sight<T> sight = look<T>(photo, b.rule, b.focal, z, point.g, point.q);
-        score[i] = sight.score * visibility(photo, b.rule, sight);
+        const T x = T(x0 + i) + T(0.5);
+        const T qx = along(warp, x, row), qy = along(warp + 4, x, row), qz = along(warp + 8, x, row);
+        const Sight<T> sight =
+            look<T>(photo, rule, focal, z, z * qx + warp[3], z * qy + warp[7], z * qz + warp[11], qx, qy, qz);
+        score[i] = sight.score * visibility(photo, rule, sight);
     }
     int32_t id[lanes];
     for (int i = 0; i < n; ++i) id[i] = s;
     for (int rank = 0; rank <= b.rule.keep; ++rank) {
 #pragma omp simd
         for (int i = 0; i < n; ++i) {
-            const bool better = score[i] > best.score[rank][i];
+            // What was moved down moves down the rest: equal scores stay in the order of their sources.
+            const bool better = (score[i] > best.score[rank][i]) | (id[i] != s);
             const T old_score = best.score[rank][i];
             const int32_t old_source = best.source[rank][i];
             best.score[rank][i] = better ? score[i] : old_score;
@@ -288,8 +319,8 @@ inline void rank_source(const Blending<T, Texel>& b, int32_t s, const T* depth, 
 }
 
 template <class T, class Texel>
-inline void rank_all(const Blending<T, Texel>& b, const T* depth, int32_t x0, int32_t y, int n,
-                     Ranking<T>& best) {
+NMBG_INLINE void rank_all(const Blending<T, Texel>& b, const T* depth, int32_t x0, int32_t y, int n,
+                          Ranking<T>& best) {
     for (int rank = 0; rank <= b.rule.keep; ++rank)
         for (int i = 0; i < lanes; ++i) best.score[rank][i] = 0, best.source[rank][i] = -1;
     for (std::size_t s = 0; s < b.photos.size(); ++s)
@@ -400,7 +431,7 @@ void blend_photos_backward(const Blending<T, Texel>& b, const int32_t* sources, 
                 for (int k = 0; k <= keep && chosen[k] >= 0; ++k) {
                     const Photo<T, Texel>& photo = b.photos[chosen[k]];
                     const Point<T> point(photo.warp, p[0], p[1], z);
-                    std::array<S, 3> g, q;
+                    S g[3], q[3];
                     for (int i = 0; i < 3; ++i) {
                         g[i] = S::variable(point.g[i], i);
                         q[i] = S::variable(point.q[i], 3 + i);
@@ -448,7 +479,8 @@ void blend_photos_backward_texels(const Blending<T, T>& b, const int32_t* source
             if (!(mixture.shown[k].score > 0)) continue;
             const MixtureGradient<T> down(mixture, grad, pixel, pixels, keep);
             const Point<T> point(photo.warp, x, y, z);
-            const Sight<T> sight = look<T>(photo, b.rule, b.focal, z, point.g, point.q);
+            const Sight<T> sight = look<T>(photo, b.rule, b.focal, z, point.g[0], point.g[1], point.g[2],
+                                           point.q[0], point.q[1], point.q[2]);
             visit_texels(photo, b.rule, sight, [&](int64_t texel, T weight) {
                 for (int c = 0; c < 3; ++c) grad_texels[s][3 * texel + c] += weight * down.colour[k][c];
             });

@@ -62,6 +62,13 @@ class Camera:
         """The same field of view on an image of width × height pixels."""
         return self.scaled(width / self.width, height / self.height, width, height)
 
+    def within(self, longest: int) -> Camera:
+        """The same field of view on at most `longest` pixels along the longer side; never enlarged."""
+        scale = min(1.0, longest / max(self.width, self.height))
+        if scale == 1:
+            return self
+        return self.resized(max(1, round(scale * self.width)), max(1, round(scale * self.height)))
+
     def level(self, k: int) -> Camera:
         """Pyramid level k: diag(2⁻ᵏ, 2⁻ᵏ, 1) P on an image of ⌈size / 2ᵏ⌉ pixels."""
         step = 2**k
@@ -89,6 +96,13 @@ class Camera:
         """
         P = torch.from_numpy(self.projection).to(points.device)
         return (points.double() @ P[:, :3].T + P[:, 3]).to(points.dtype)
+
+    def warp_to(self, other: Camera) -> Array:
+        """[B | c], [3, 4] float64: pixel (x, y) at depth z lies at z·B·(x, y, 1) + c in the other camera."""
+        B = other.R @ self.R.T @ np.linalg.inv(self.K)
+        c = other.R @ self.centre + other.t
+        warp: Array = np.concatenate([B, c[:, None]], axis=1)
+        return warp
 
     def rays(self, dtype: torch.dtype = torch.float32) -> Tensor:
         """Unit world-space directions through the pixel centres, [H, W, 3]."""

@@ -24,7 +24,7 @@ from nmbg.evaluation.metrics import Metric, make_metrics
 from nmbg.images import Image, write_image
 from nmbg.progress import progress_bar
 from nmbg.scene import Scene, Split, View
-from nmbg.training.checkpoint import Run, load_run
+from nmbg.training.checkpoint import load_run
 
 SHEET_ROWS = 16
 PROTOCOL = "full frames, estimate rounded to 8 bits, mean of the values per view"
@@ -89,9 +89,10 @@ def evaluate(
         NmbgError: the run, its scene or the weights are not usable, or a view is not finite.
     """
     run = load_run(run_folder, device)
-    views = run.scene.test if split == "test" else run.scene.train
+    scene = Scene.load(run.source)
+    views = scene.test if split == "test" else scene.train
     measures = make_metrics(metrics, lpips_net, weights, torch.device(device))
-    _check(run, views, measures, split)
+    _check(scene, views, measures, split)
 
     suffix = "" if split == "test" else f"-{split}"
     shown = set(np.linspace(0, len(views) - 1, min(SHEET_ROWS, len(views))).round().astype(int).tolist())
@@ -102,9 +103,9 @@ def evaluate(
         names = bar.track(_names(views), description="rendering")
         for i, (view, name) in enumerate(zip(views, names, strict=True)):
             start = time.perf_counter()
-            render = run.renderer.render(view.camera)
+            render = run.renderer.render(view.camera, without=view.name)
             seconds = time.perf_counter() - start
-            estimate, target = _masked(run.scene, view, _to_bytes(render, view))
+            estimate, target = _masked(scene, view, _to_bytes(render, view))
             measured = {m.name: m.compute(_to_tensor(estimate), _to_tensor(target)) for m in measures}
             values[view.name] = {**measured, "seconds": seconds}
             _write_pair(renders / name, estimate, target)
@@ -120,7 +121,7 @@ def evaluate(
         nmbg=__version__,
         settings={m.name: m.settings for m in measures},
         protocol=PROTOCOL + (MASKED if any(view.mask for view in views) else ""),
-        geometry=_geometry(run.scene),
+        geometry=_geometry(scene),
         mean={m.name: statistics.fmean(v[m.name] for v in values.values()) for m in measures},
         views=values,
         seconds_per_frame=statistics.median(v["seconds"] for v in values.values()),
@@ -132,11 +133,11 @@ def evaluate(
     return report
 
 
-def _check(run: Run, views: Sequence[View], measures: Sequence[Metric], split: Split) -> None:
+def _check(scene: Scene, views: Sequence[View], measures: Sequence[Metric], split: Split) -> None:
     """Refuse before the work starts what would fail in its middle."""
     if not views:
         other = "train" if split == "test" else "test"
-        raise NmbgError(f"{run.scene.folder}: the scene has no {split} views; evaluate with --split {other}")
+        raise NmbgError(f"{scene.folder}: the scene has no {split} views; evaluate with --split {other}")
     for view in views:
         side = min(view.camera.width, view.camera.height)
         for measure in measures:

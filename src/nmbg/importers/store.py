@@ -38,7 +38,7 @@ def store_photograph(
     image = read_image(
         photo.path
     )  # also when it is only copied: a truncated file must show now, not in training
-    camera = within(photo.camera, max_size)
+    camera = photo.camera if max_size is None else photo.camera.within(max_size)
     (folder / "images").mkdir(exist_ok=True)
     suffix = photo.path.suffix.lower()
     if photo.lens is None and camera is photo.camera and suffix in KEPT_SUFFIXES:
@@ -63,15 +63,6 @@ def store_photograph(
         (_as_seen(bright, photo, camera)[..., 0] >= 128).astype("uint8") * 255,
     )
     return camera, name, f"{stem}.png"
-
-
-def within(camera: Camera, max_size: int | None) -> Camera:
-    """The camera reduced so that its longer side has no more than `max_size` pixels; never enlarged."""
-    longest = max(camera.width, camera.height)
-    if max_size is None or longest <= max_size:
-        return camera
-    scale = max_size / longest
-    return camera.resized(max(1, round(scale * camera.width)), max(1, round(scale * camera.height)))
 
 
 def find_masks(folder: Path, names: Sequence[str]) -> dict[str, Path]:

@@ -10,7 +10,7 @@ Norm = Literal["batch", "none"]
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """The memory on the mesh and the network behind it.
+    """The memory on the mesh, the photographs over it, and the network behind both.
 
     Args:
         degree: degree of the spherical harmonics, 0 to 2: (degree + 1)² coefficients a feature.
@@ -26,6 +26,8 @@ class ModelConfig:
         colour_skip: image = rendered colour + network, whose last convolution starts at zero.
         supersample: s × s samples a pixel, averaged; with s > 1 the coarser levels are averages of the finest
             one instead of being rasterized anew. Faces only.
+        sources: photographs blended in a pixel, over the colour on the mesh; 0 leaves them out. A network
+            then reads what they and the mesh show, instead of the features.
     """
 
     degree: int = 2
@@ -40,6 +42,7 @@ class ModelConfig:
     mask_channel: bool = False
     colour_skip: bool = False
     supersample: int = 1
+    sources: int = 0
 
     def __post_init__(self) -> None:
         if not self.faces and not self.points:
@@ -50,6 +53,8 @@ class ModelConfig:
             raise ValueError("a model without a network shows the rendered colour: colour_skip must be set")
         if self.colour_skip and (not self.faces or self.features < 3):
             raise ValueError(f"colour_skip needs faces and 3 features; got {self.features}")
+        if self.sources and (self.points or self.layers > 1 or self.features != 3 or not self.colour_skip):
+            raise ValueError("photographs add to the colour of one layer of faces: 3 features, no points")
 
     @property
     def bases(self) -> int:
@@ -64,7 +69,7 @@ class ModelConfig:
     @property
     def rasterized_levels(self) -> int:
         """Levels that are rasterized; the rest are averages of the finest."""
-        return 1 if self.supersample > 1 else self.levels
+        return 1 if self.supersample > 1 or self.sources else self.levels
 
     @property
     def channels(self) -> int:

@@ -1,8 +1,9 @@
-"""Geometry, descriptors and network: a camera in, an image out."""
+"""Geometry, descriptors, photographs and network: a camera in, an image out."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import cast
 
 import torch
@@ -14,7 +15,12 @@ from nmbg.mesh import Mesh
 from nmbg.model.config import ModelConfig
 from nmbg.model.descriptors import SH_CONSTANT, Descriptors
 from nmbg.model.fragments import LayerFragments, rasterize_layer
+from nmbg.model.photographs import Gathered, Photographs, count_features
 from nmbg.model.unet import UNet
+from nmbg.scene import Scene, View
+
+# What a renderer turns into an image: fragments to be shaded, or what mesh and photographs show already.
+Sight = list[LayerFragments] | Gathered
 
 
 class Renderer(nn.Module):
@@ -32,8 +38,17 @@ class Renderer(nn.Module):
         self.config = config
         self.layers = tuple(layers)
         self.descriptors = nn.ModuleList(Descriptors(len(mesh.vertices), config) for mesh in layers)
+        self.photographs: Photographs | None = None
+        channels = count_features(config.sources) if config.sources else config.channels
         self.network = (
-            UNet(config.layers, config.channels, config.widths, config.norm, zero_start=config.colour_skip)
+            UNet(
+                config.layers,
+                channels,
+                config.widths,
+                config.norm,
+                zero_start=config.colour_skip,
+                results=3 + config.sources,
+            )
             if config.widths
             else None
         )
@@ -48,10 +63,35 @@ class Renderer(nn.Module):
     def set_colours(self, coeffs: Sequence[Tensor]) -> None:
         """Start the colour features from coefficients [N, B′, 3] per layer, colours in [0, 1]."""
         for descriptors, layer in zip(self._descriptors, coeffs, strict=True):
-            # Features are colour − ½: an empty pixel, whose features are zero, is mid-grey.
-            shifted = layer.clone()
-            shifted[:, 0] -= 0.5 / SH_CONSTANT
-            descriptors.set_colours(shifted)
+            descriptors.set_colours(_centred(layer))
+
+    @contextmanager
+    def recoloured(self, parts: Sequence[tuple[Tensor, Tensor]]) -> Iterator[None]:
+        """Give vertices other colours for a while: per layer, vertices [V] and coefficients [V, B, 3]."""
+        tables = [d.coeffs.data for d in self._descriptors]
+        kept = [table[vertices].clone() for table, (vertices, _) in zip(tables, parts, strict=True)]
+        try:
+            for table, (vertices, coeffs) in zip(tables, parts, strict=True):
+                table[vertices] = _centred(coeffs).reshape(len(vertices), -1).to(table)
+            yield
+        finally:
+            for table, (vertices, _), rows in zip(tables, parts, kept, strict=True):
+                table[vertices] = rows
+
+    def remember(self, scene: Scene, views: Sequence[View]) -> None:
+        """Blend these photographs of the scene over the mesh from now on."""
+        self.photographs = Photographs(scene, views, self._colour_on_mesh, self.config.sources)
+
+    def see(self, camera: Camera, without: str | None = None) -> Sight:
+        """What forward() needs of a view; `without` names a photograph that must not be used."""
+        if self.photographs is None:
+            return self.rasterize(camera)
+        padded = camera.padded(2 ** (self.config.levels - 1))
+        return self.photographs.gather(padded, self._colour_on_mesh(padded), without)
+
+    @torch.no_grad()
+    def _colour_on_mesh(self, camera: Camera) -> Tensor:
+        return self.colour(self.rasterize(camera), camera).cpu()
 
     def rasterize(self, camera: Camera) -> list[LayerFragments]:
         """What `camera` sees of each layer, padded so that the pyramid's sizes are whole."""
@@ -65,10 +105,13 @@ class Renderer(nn.Module):
         ]
         return self._composite(pyramids, fragments)[0, :, : camera.height, : camera.width] + 0.5
 
-    def forward(self, fragments: list[LayerFragments], camera: Camera) -> Tensor:
-        """Render what `rasterize(camera)` gave, [3, H, W], about [0, 1] but not clamped."""
+    def forward(self, sight: Sight, camera: Camera) -> Tensor:
+        """Render what `see(camera)` gave, [3, H, W], about [0, 1] but not clamped."""
+        if isinstance(sight, Gathered):
+            return self._fuse(sight)[:, : camera.height, : camera.width]
         if self.network is None:
-            return self.colour(fragments, camera)
+            return self.colour(sight, camera)
+        fragments = sight
         pyramids = [
             d.pyramid(layer, self.config.levels, slice(None))
             for d, layer in zip(self._descriptors, fragments, strict=True)
@@ -79,6 +122,21 @@ class Renderer(nn.Module):
         if self.config.colour_skip:
             image = image + self._composite(pyramids, fragments)
         return image[0, :, : camera.height, : camera.width].float() + 0.5
+
+    def _fuse(self, gathered: Gathered) -> Tensor:
+        """Mesh and photographs as one image; a network re-weights the photographs and adds to them."""
+        if self.network is None:
+            return gathered.blended()
+        pyramid = [gathered.features()[None].to(memory_format=torch.channels_last)]
+        while len(pyramid) < self.config.levels:
+            pyramid.append(F.avg_pool2d(pyramid[-1], 2))
+        added, preference = self.network([pyramid])[0].float().split([3, self.config.sources])
+        # Bounded: a weight of zero stays zero, and no source is ever lost for good.
+        weights = gathered.weights.float() * (4 * torch.tanh(preference / 4)).exp()
+        weights = weights / weights.sum(0).clamp(min=1e-6)
+        residual = (gathered.shown.float() * weights[:, None]).sum(0)
+        image: Tensor = gathered.base.float() + residual + added
+        return image
 
     def _composite(self, pyramids: list[list[Tensor]], fragments: list[LayerFragments]) -> Tensor:
         """Finest colours of all layers, nearest layer first."""
@@ -93,12 +151,24 @@ class Renderer(nn.Module):
         return image
 
     @torch.no_grad()
-    def render(self, camera: Camera) -> Tensor:
-        """A new view, [3, H, W] float32 in [0, 1] on the CPU; any camera, any size."""
+    def render(self, camera: Camera, without: str | None = None) -> Tensor:
+        """A new view, [3, H, W] float32 in [0, 1] on the CPU; any camera, any size.
+
+        Args:
+            camera: the view.
+            without: name of a photograph that must not be blended in: the one this view is compared with.
+        """
         training = self.training
         self.eval()
         try:
-            image: Tensor = self(self.rasterize(camera), camera)
+            image: Tensor = self(self.see(camera, without), camera)
         finally:
             self.train(training)
         return image.clamp(0, 1).cpu()
+
+
+def _centred(coeffs: Tensor) -> Tensor:
+    """Colour − ½ from colour, [N, B, 3]: an empty pixel, whose features are zero, is mid-grey."""
+    shifted = coeffs.clone()
+    shifted[:, 0] -= 0.5 / SH_CONSTANT
+    return shifted

@@ -2,7 +2,7 @@
 
 from nmbg.ops.blend import Blend, blend_photos, mip_chain
 from nmbg.ops.rasterize import face_depth, rasterize_faces, rasterize_points
-from nmbg.ops.shade import shade_faces, shade_points
+from nmbg.ops.shade import scatter_faces, shade_faces, shade_points
 
 __all__ = [
     "Blend",
@@ -11,6 +11,7 @@ __all__ = [
     "mip_chain",
     "rasterize_faces",
     "rasterize_points",
+    "scatter_faces",
     "shade_faces",
     "shade_points",
 ]

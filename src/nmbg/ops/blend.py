@@ -239,11 +239,12 @@ def blend_photos(
     visibility (its own depth against the point's: 1 up to `tolerance`, 0 from twice as much on, bilinear over
     four pixels), border (rising over `border` pixels), angle between the rays (1 / (1 + θ / `angle`)⁴) and
     resolution (source pixels per pixel of the new view, at most 1). The `keep` best are blended, weighted by
-    what their score exceeds the next one's by: continuous in the point and in the cameras. Colours come from
-    the mip level that fits, at the finest from texels of the visible surface alone.
+    what their score exceeds the next one's by: with more than one continuous in the point and in the cameras.
+    Equal scores go by index. Colours come from the mip level that fits, at the finest from texels of the
+    visible surface alone.
 
     Args:
-        depth: [H, W] float32 or float64, view-space z of the new view in scene units, 0 where it sees nothing.
+        depth: [H, W] float32 or float64, view-space z of the new view, 0 where it sees nothing.
         warps: [S, 3, 4] in the dtype of `depth`: [B | c], so that pixel (x, y) at depth z lies at
             z·B·(x, y, 1) + c in the source's camera: B = R_s Rᵀ K⁻¹, c = R_s C + t_s.
         intrinsics: [S, 3, 3] in the dtype of `depth`, upper triangular, pixels.
@@ -259,8 +260,8 @@ def blend_photos(
         each: return the colours of the single sources too.
 
     Returns:
-        see Blend; colour, weight and variance are differentiable with respect to `depth`, `warps` and floating
-        `photos`.
+        see Blend; colour, weight and variance are differentiable with respect to `depth`, `warps` and
+        floating `photos`.
 
     Raises:
         TypeError, ValueError: an argument of another dtype, shape or range than said here.
@@ -282,7 +283,7 @@ def blend_photos(
 
 
 def mip_chain(image: Tensor, mask: Tensor | None = None) -> Tensor:
-    """A photograph and its ever smaller copies in one buffer, finest first: sizes halved, rounded up, to 1 × 1.
+    """A photograph and its ever smaller copies in one buffer, finest first; sizes are halved, rounded up.
 
     Args:
         image: [h, w, 3] uint8 or floating.
@@ -299,9 +300,8 @@ def mip_chain(image: Tensor, mask: Tensor | None = None) -> Tensor:
         odd = (0, level.shape[3] % 2, 0, level.shape[2] % 2)
         total = F.avg_pool2d(F.pad(weight, odd), 2)
         plain = F.avg_pool2d(F.pad(level, odd, mode="replicate"), 2)
-        level = torch.where(
-            total > 0, F.avg_pool2d(F.pad(level * weight, odd), 2) / total.clamp(min=1e-12), plain
-        )
+        counted = F.pad(torch.where(weight > 0, level, 0), odd)
+        level = torch.where(total > 0, F.avg_pool2d(counted, 2) / total.clamp(min=1e-12), plain)
         weight = (total > 0).to(level.dtype)
         texels = level[0].permute(1, 2, 0).reshape(-1, 3)
         chain.append(texels.round().to(torch.uint8) if image.dtype == torch.uint8 else texels)

@@ -142,3 +142,31 @@ def shade_faces(
         return reference.shade_faces(face, bary, faces, rays, coeffs)
     features: Tensor = _shade(face, bary, faces, rays, coeffs)
     return features
+
+
+def scatter_faces(
+    pixels: Tensor,  # [C, H, W]
+    face: Tensor,  # [H, W]
+    bary: Tensor,  # [H, W, 3]
+    faces: Tensor,  # [M, 3]
+    rays: Tensor,  # [H, W, 3]
+    vertices: int,
+    basis: int,
+) -> Tensor:  # [N, B, C]
+    """Transpose of shade_faces(): Σ over pixels of bary_k · Y_b(ray) · pixel, at the vertices of their faces.
+
+    Args:
+        pixels: [C, H, W] float32 or float64.
+        face: as for shade_faces(), like `bary`, `faces` and `rays`.
+        vertices: N, rows of the result.
+        basis: B = 1, 4 or 9.
+
+    Returns:
+        [N, B, C] in the dtype of `pixels`; not differentiable.
+
+    Raises:
+        TypeError, ValueError: an argument of another dtype, shape or range than said here.
+    """
+    like = pixels.new_empty(vertices, basis, len(pixels))
+    sums: Tensor = _shade_backward_coeffs(pixels.detach(), face, bary.detach(), faces, rays, like)
+    return sums

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,19 +21,27 @@ from nmbg.errors import NmbgError
 from nmbg.mesh import Mesh, split_layers
 from nmbg.model.config import ModelConfig
 from nmbg.model.renderer import Renderer
-from nmbg.scene import Scene
+from nmbg.scene import Scene, View
 from nmbg.training.config import Stage, TrainConfig
 from nmbg.training.optimiser import State
 
 CONFIG = "config.yaml"
+SCENE = "scene"
 
 
 @dataclass(frozen=True)
 class Run:
-    """A run folder, loaded for rendering."""
+    """A run folder, loaded for rendering.
+
+    Args:
+        folder: the run.
+        source: the scene folder that it was trained on.
+        config: how it was trained.
+        renderer: the trained model.
+    """
 
     folder: Path
-    scene: Scene
+    source: Path
     config: TrainConfig
     renderer: Renderer
 
@@ -64,7 +73,14 @@ def scene_layers(scene: Scene, config: ModelConfig) -> list[Mesh]:
 def build_renderer(scene: Scene, config: TrainConfig) -> Renderer:
     """A renderer with seeded weights and zero descriptors."""
     torch.manual_seed(config.seed)
-    return Renderer(config.model, scene_layers(scene, config.model)).to(config.device)
+    return _renderer(scene, config).to(config.device)
+
+
+def _renderer(scene: Scene, config: TrainConfig) -> Renderer:
+    renderer = Renderer(config.model, scene_layers(scene, config.model))
+    if config.model.sources:
+        renderer.remember(scene, scene.train)
+    return renderer
 
 
 def save_config(run: Path, scene: Scene, config: TrainConfig) -> None:
@@ -76,6 +92,18 @@ def save_config(run: Path, scene: Scene, config: TrainConfig) -> None:
     }
     with atomic_file(run / CONFIG) as path:
         path.write_text(yaml.safe_dump(_plain(content), sort_keys=False))
+
+
+def save_scene(run: Path, scene: Scene, views: Sequence[View]) -> None:
+    """Write what rendering needs of a scene into the run: its geometry and these photographs."""
+    folder = run / SCENE
+    for kind in ("images", "masks"):
+        (folder / kind).mkdir(parents=True, exist_ok=True)
+    for view in views:
+        shutil.copyfile(scene.folder / "images" / view.image, folder / "images" / view.image)
+        if view.mask is not None:
+            shutil.copyfile(scene.folder / "masks" / view.mask, folder / "masks" / view.mask)
+    replace(scene, views=tuple(views)).save(folder)
 
 
 def load_config(run: Path) -> tuple[Path, TrainConfig]:
@@ -169,10 +197,9 @@ def load_run(run: Path, device: str = "cpu") -> Run:
     checkpoint = latest_checkpoint(run)
     if checkpoint is None:
         raise NmbgError(f"{run}: no checkpoint yet; continue it with nmbg train --resume")
-    scene = Scene.load(folder)
-    renderer = Renderer(config.model, scene_layers(scene, config.model))
+    renderer = _renderer(Scene.load(run / SCENE), config)
     load_model(checkpoint, renderer)
-    return Run(run, scene, config, renderer.to(device).eval())
+    return Run(run, folder, config, renderer.to(device).eval())
 
 
 def _first_line(error: BaseException) -> str:

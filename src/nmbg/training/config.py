@@ -104,6 +104,8 @@ PRESETS: dict[str, TrainConfig] = {
     for preset in (
         TrainConfig("colours", replace(_colour_mesh, degree=0), (), start="mean"),
         TrainConfig("mesh", _colour_mesh, (_colour_stage,)),
+        TrainConfig("photos", replace(_colour_mesh, degree=0, sources=5), (), start="mean"),
+        TrainConfig("photos-mesh", replace(_colour_mesh, supersample=2, sources=5), (_colour_stage,)),
         _rung("npbg", _npbg),
         _rung("npbg-radius", _radius),
         _rung("npbg-mesh", _mesh),
@@ -131,18 +133,11 @@ PRESETS: dict[str, TrainConfig] = {
         ),
         TrainConfig(
             "nmbg",
-            ModelConfig(
-                points=False,
-                supersample=2,
-                widths=(12, 24, 48, 96),
-                norm="none",
-                mask_channel=True,
-                colour_skip=True,
-            ),
+            replace(_colour_mesh, supersample=2, sources=5, widths=(16, 48, 64, 96)),
             (
-                replace(_colour_stage, share=0.15),
-                Stage(0.2, network=True, descriptor_rate=0.003),
-                Stage(0.65, network=True, perceptual=0.5, descriptor_rate=0.002, network_rate=5e-4),
+                # The colour mesh keeps its closed form, which can be had without any one photograph.
+                Stage(0.35, network=True, descriptor_rate=0.0),
+                Stage(0.65, network=True, perceptual=0.02, descriptor_rate=0.0, network_rate=5e-4),
             ),
             perceptual=VGG_TO_RELU3,
             minutes=15,

@@ -23,10 +23,12 @@ class Optimiser:
 
     def __init__(self, renderer: Renderer, stage: Stage) -> None:
         self.stage = stage
-        descriptors = torch.optim.SparseAdam(
-            list(renderer.descriptors.parameters()), lr=stage.descriptor_rate
-        )
-        self.parts: list[tuple[torch.optim.Optimizer, float]] = [(descriptors, stage.descriptor_rate)]
+        self.parts: list[tuple[torch.optim.Optimizer, float]] = []
+        if stage.descriptor_rate > 0:
+            descriptors = torch.optim.SparseAdam(
+                list(renderer.descriptors.parameters()), lr=stage.descriptor_rate
+            )
+            self.parts.append((descriptors, stage.descriptor_rate))
         if stage.network and renderer.network is not None:
             network = torch.optim.Adam(renderer.network.parameters(), lr=stage.network_rate)
             self.parts.append((network, stage.network_rate))

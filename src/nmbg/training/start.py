@@ -9,13 +9,15 @@ from torch import Tensor
 
 from nmbg.mesh import Mesh
 from nmbg.model.descriptors import SH_CONSTANT
-from nmbg.ops import rasterize_faces, shade_faces
+from nmbg.ops import rasterize_faces, scatter_faces
 from nmbg.ops.reference import harmonics
 from nmbg.progress import progress_bar
 from nmbg.scene import Scene, View
 
 # Ridge relative to a vertex's weight: degree 0; degrees ≥ 1, which stay small where few directions were seen.
 RIDGE = (1e-4, 0.02)
+# A vertex counts as seen by others when they hold this share of its weight.
+LEAST_SHARE = 1e-3
 
 
 def mean_colours(layers: Sequence[Mesh]) -> list[Tensor]:
@@ -23,18 +25,12 @@ def mean_colours(layers: Sequence[Mesh]) -> list[Tensor]:
     return [torch.from_numpy(mesh.colours).float()[:, None] / 255 / SH_CONSTANT for mesh in layers]
 
 
-def fitted_colours(
-    layers: Sequence[Mesh],
-    scene: Scene,
-    views: Sequence[View],
-    bases: int,
-    ridge: tuple[float, float] = RIDGE,
-) -> list[Tensor]:
-    """Least-squares harmonics of the colours that the views show at each vertex.
+class ColourFit:
+    """Least-squares harmonics of the colours that views show at each vertex.
 
     Every pixel is an observation of its face's three vertices, weighted by the barycentrics; per vertex the
-    normal equations (Σ Y Yᵀ + ridge) c = Σ Y colour are summed over the views and solved. The sums are
-    gradients of shading: its backward pass scatters Y_b · pixel over the vertices.
+    normal equations (Σ Y Yᵀ + ridge) c = Σ Y colour are summed over the views and solved. Sums can be taken
+    out again, which gives what the other views alone would have given.
 
     Args:
         layers: meshes.
@@ -42,38 +38,68 @@ def fitted_colours(
         views: which of them.
         bases: (degree + 1)².
         ridge: for degree 0 and for degrees ≥ 1.
-
-    Returns:
-        per layer, [N, bases, 3] float32; a vertex that no view sees keeps its mean colour.
     """
-    sums = [torch.zeros(len(mesh.vertices), bases, bases + 3) for mesh in layers]
-    with progress_bar() as bar:
-        for view in bar.track(views, description="fitting colours"):
-            basis = harmonics(view.camera.rays(), bases).permute(2, 0, 1)
-            colour = torch.from_numpy(scene.load_image(view)).permute(2, 0, 1) / 255
-            mask = scene.load_mask(view)
-            shown = torch.cat([basis, colour])
-            if mask is not None:
-                shown = shown * torch.from_numpy(mask)
-            for total, mesh in zip(sums, layers, strict=True):
-                _scatter(total, mesh, view, shown)
-    return [_solve(total, mean, ridge) for total, mean in zip(sums, mean_colours(layers), strict=True)]
 
+    def __init__(
+        self,
+        layers: Sequence[Mesh],
+        scene: Scene,
+        views: Sequence[View],
+        bases: int,
+        ridge: tuple[float, float] = RIDGE,
+    ) -> None:
+        self.layers, self.scene, self.bases, self.ridge = layers, scene, bases, ridge
+        self._means = mean_colours(layers)
+        self._sums = [torch.zeros(len(mesh.vertices), bases, bases + 3) for mesh in layers]
+        with progress_bar() as bar:
+            for view in bar.track(views, description="fitting colours"):
+                for total, mesh in zip(self._sums, layers, strict=True):
+                    vertices, sums = self._observe(mesh, view)
+                    total.index_add_(0, vertices, sums)
 
-def _scatter(total: Tensor, mesh: Mesh, view: View, shown: Tensor) -> None:
-    """Add Y_b · shown_c of every pixel to the vertices of its face."""
-    camera, faces = view.camera, torch.from_numpy(mesh.faces)
-    h = camera.project(torch.from_numpy(mesh.vertices))
-    face, bary = rasterize_faces(h, faces, camera.height, camera.width)
-    seen = face >= 0
-    # Renumbered to the vertices in view, so that the sums cost what is seen.
-    vertices, corners = torch.unique(faces[face[seen].long()], return_inverse=True)
-    pixel = torch.full_like(face, -1)
-    pixel[seen] = torch.arange(len(corners), dtype=torch.int32)
-    zeros = torch.zeros(len(vertices), *total.shape[1:], requires_grad=True)
-    image = shade_faces(pixel, bary, corners.int(), camera.rays(), zeros)
-    (scattered,) = torch.autograd.grad(image, zeros, shown)
-    total.index_add_(0, vertices, scattered)
+    def coefficients(self) -> list[Tensor]:
+        """Per layer, [N, bases, 3] float32; a vertex that no view sees keeps its mean colour."""
+        return [_solve(sums, mean, self.ridge) for sums, mean in zip(self._sums, self._means, strict=True)]
+
+    def without(self, view: View) -> list[tuple[Tensor, Tensor]]:
+        """What the fit would be without one of its views, where that view sees anything.
+
+        Returns:
+            per layer, vertices [V] int64 and their coefficients [V, bases, 3] float32. The mean colour too is
+            that of the other views; a vertex that only this view sees takes the mean of all vertices.
+        """
+        left = []
+        for sums, mesh, mean in zip(self._sums, self.layers, self._means, strict=True):
+            vertices, own = self._observe(mesh, view)
+            others = sums[vertices] - own
+            weight = others[:, :1, :1] / SH_CONSTANT**2
+            seen = weight > LEAST_SHARE * sums[vertices, :1, :1] / SH_CONSTANT**2
+            their_mean = others[:, :1, self.bases :] / SH_CONSTANT / weight.clamp(min=1e-6)
+            mean_of_all = mean.mean(0, keepdim=True).expand(len(vertices), 1, 3)
+            others = torch.where(seen, others, 0)
+            their_mean = torch.where(seen, their_mean / SH_CONSTANT, mean_of_all)
+            left.append((vertices, _solve(others, their_mean, self.ridge)))
+        return left
+
+    def _observe(self, mesh: Mesh, view: View) -> tuple[Tensor, Tensor]:
+        """Vertices [V] that a view sees, and its sums Σ Y_b · (Y, colour) there, [V, bases, bases + 3]."""
+        camera, faces = view.camera, torch.from_numpy(mesh.faces)
+        rays = camera.rays()
+        colour = torch.from_numpy(self.scene.load_image(view)).permute(2, 0, 1) / 255
+        shown = torch.cat([harmonics(rays, self.bases).permute(2, 0, 1), colour])
+        mask = self.scene.load_mask(view)
+        if mask is not None:
+            shown = shown * torch.from_numpy(mask)
+        h = camera.project(torch.from_numpy(mesh.vertices))
+        face, bary = rasterize_faces(h, faces, camera.height, camera.width)
+        seen = face >= 0
+        # Renumbered to the vertices in view, so that the sums cost what is seen.
+        shown_faces, pixel_face = torch.unique(face[seen], return_inverse=True)
+        vertices, corners = torch.unique(faces[shown_faces.long()], return_inverse=True)
+        pixel = torch.full_like(face, -1)
+        pixel[seen] = pixel_face.int()
+        sums = scatter_faces(shown, pixel, bary, corners.int(), rays, len(vertices), self.bases)
+        return vertices.long(), sums
 
 
 def _solve(sums: Tensor, mean: Tensor, ridge: tuple[float, float]) -> Tensor:

@@ -13,9 +13,10 @@ import torch
 from torch import Tensor
 
 from nmbg.atomic import atomic_folder
+from nmbg.cameras import Camera
 from nmbg.errors import NmbgError
 from nmbg.losses import Perceptual, l1
-from nmbg.model.renderer import Renderer
+from nmbg.model.renderer import Renderer, Sight
 from nmbg.progress import console, progress_bar
 from nmbg.scene import Scene, View
 from nmbg.training import checkpoint
@@ -24,7 +25,7 @@ from nmbg.training.checkpoint import Progress
 from nmbg.training.config import Stage, TrainConfig
 from nmbg.training.log import Log
 from nmbg.training.optimiser import Optimiser
-from nmbg.training.start import fitted_colours, mean_colours
+from nmbg.training.start import ColourFit, mean_colours
 from nmbg.training.views import Example, Views
 
 REPORTS = 20  # progress figures in a run
@@ -54,12 +55,14 @@ def train(
     perceptual = _perceptual(config, weights)
     with atomic_folder(run, overwrite) as temporary:
         renderer = checkpoint.build_renderer(scene, config)
-        training, validation = _views(scene, config, renderer)
+        fit = _fit_colours(scene, config, renderer)
+        training, validation = _views(scene, config, renderer, fit)
         if config.start == "mean":
             renderer.set_colours(mean_colours(renderer.layers))
-        elif config.start == "fit":
-            renderer.set_colours(fitted_colours(renderer.layers, scene, training.views, config.model.bases))
+        elif fit is not None:
+            renderer.set_colours(fit.coefficients())
         checkpoint.save_config(temporary, scene, config)
+        checkpoint.save_scene(temporary, scene, scene.train if config.model.sources else ())
         checkpoint.save_checkpoint(temporary, renderer, Progress(seconds=clock.seconds))
     _fit(config, run, renderer, perceptual, training, validation, Progress(), clock)
     return run
@@ -89,7 +92,8 @@ def resume(run: Path, weights: Path | None = None) -> Path:
     scene = Scene.load(folder)
     renderer = checkpoint.build_renderer(scene, config)
     checkpoint.load_model(found, renderer)
-    training, validation = _views(scene, config, renderer)
+    fit = _fit_colours(scene, config, renderer) if _leaves_out(config) else None
+    training, validation = _views(scene, config, renderer, fit)
     _fit(config, run, renderer, perceptual, training, validation, state, clock)
     return run
 
@@ -156,7 +160,12 @@ def _perceptual(config: TrainConfig, weights: Path | None) -> Perceptual | None:
     return Perceptual(config.perceptual, weights).to(config.device)
 
 
-def _views(scene: Scene, config: TrainConfig, renderer: Renderer) -> tuple[Views, Views]:
+def _leaves_out(config: TrainConfig) -> bool:
+    """Whether a network learns from what the other photographs show of a view."""
+    return config.model.sources > 0 and any(stage.network for stage in config.stages)
+
+
+def _split(scene: Scene, config: TrainConfig) -> tuple[tuple[View, ...], tuple[View, ...]]:
     """Training views, and those of them that are kept aside, spread evenly over the names."""
     views = scene.train
     aside = min(config.validation_views, len(views) - 1)
@@ -165,9 +174,34 @@ def _views(scene: Scene, config: TrainConfig, renderer: Renderer) -> tuple[Views
     def pick(which: bool) -> tuple[View, ...]:
         return tuple(view for i, view in enumerate(views) if (i in chosen) is which)
 
+    return pick(False), pick(True)
+
+
+def _fit_colours(scene: Scene, config: TrainConfig, renderer: Renderer) -> ColourFit | None:
+    """The closed-form start. What leaves each view out anyway may use those kept aside too."""
+    if config.start != "fit":
+        return None
+    views = scene.train if _leaves_out(config) else _split(scene, config)[0]
+    return ColourFit(renderer.layers, scene, views, config.model.bases)
+
+
+def _views(
+    scene: Scene, config: TrainConfig, renderer: Renderer, fit: ColourFit | None
+) -> tuple[Views, Views]:
+    """Examples of both parts of the training views."""
+
+    def rasterized(camera: Camera, view: View) -> Sight:
+        return renderer.rasterize(camera)
+
+    def left_out(camera: Camera, view: View) -> Sight:
+        assert fit is not None  # ModelConfig and the presets: photographs stand on a fitted mesh
+        with renderer.recoloured(fit.without(view)):
+            return renderer.see(camera, without=view.name)
+
+    see = left_out if _leaves_out(config) else rasterized
+    training, aside = _split(scene, config)
     cache = 0.0 if config.zoom > 1 or config.window < 1 else config.cache_gib
-    training = Views(scene, pick(False), renderer.rasterize, cache)
-    return training, Views(scene, pick(True), renderer.rasterize, config.cache_gib)
+    return Views(scene, training, see, cache), Views(scene, aside, see, config.cache_gib)
 
 
 def _draw(views: Views, config: TrainConfig, step: int) -> Example:
@@ -181,12 +215,20 @@ def _draw(views: Views, config: TrainConfig, step: int) -> Example:
     return views.window(i, config.window, config.zoom, generator)
 
 
+def _render(renderer: Renderer, stage: Stage, example: Example) -> Tensor:
+    """What the stage trains: the whole model, or the colour on the mesh."""
+    if stage.network:
+        image: Tensor = renderer(example.sight, example.camera)
+        return image
+    assert isinstance(example.sight, list)  # photographs are gathered for a network alone
+    return renderer.colour(example.sight, example.camera)
+
+
 def _loss(
     renderer: Renderer, stage: Stage, perceptual: Perceptual | None, example: Example
 ) -> dict[str, Tensor]:
     """The stage's loss and its terms."""
-    render = renderer if stage.network else renderer.colour
-    image: Tensor = render(example.fragments, example.camera)[None]
+    image = _render(renderer, stage, example)[None]
     target = (example.image.to(image.device) / 255)[None]
     mask = None
     if example.mask is not None:
@@ -210,8 +252,7 @@ def _validate(renderer: Renderer, views: Views, stage: Stage) -> float:
     total = 0.0
     for i in range(len(views)):
         example = views.frame(i)
-        render = renderer if stage.network else renderer.colour
-        image = render(example.fragments, example.camera).clamp(0, 1).cpu()
+        image = _render(renderer, stage, example).clamp(0, 1).cpu()
         error = (image - example.image / 255) ** 2
         if example.mask is not None:
             error = error * example.mask

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from nmbg.cameras import Camera
-from nmbg.model.fragments import LayerFragments
+from nmbg.model.renderer import Sight
 from nmbg.scene import Scene, View
 
 GIB = 2**30
@@ -22,14 +22,14 @@ class Example:
     Args:
         name: of the view.
         camera: the window that is trained on.
-        fragments: per layer.
+        sight: what the renderer needs of the view.
         image: [3, H, W] uint8.
         mask: [H, W] bool, or None when every pixel counts.
     """
 
     name: str
     camera: Camera
-    fragments: list[LayerFragments]
+    sight: Sight
     image: Tensor
     mask: Tensor | None
 
@@ -37,7 +37,8 @@ class Example:
     def nbytes(self) -> int:
         """Memory held, bytes."""
         mask = 0 if self.mask is None else self.mask.nbytes
-        return self.image.nbytes + mask + sum(layer.nbytes for layer in self.fragments)
+        parts = self.sight if isinstance(self.sight, list) else [self.sight]
+        return self.image.nbytes + mask + sum(part.nbytes for part in parts)
 
 
 class Views:
@@ -46,7 +47,7 @@ class Views:
     Args:
         scene: the scene.
         views: which of its views.
-        rasterize: camera → fragments.
+        see: camera of a view, or of a part of it, and the view → what the renderer needs of it.
         cache_gib: memory for whole-frame examples, GiB.
     """
 
@@ -54,10 +55,10 @@ class Views:
         self,
         scene: Scene,
         views: tuple[View, ...],
-        rasterize: Callable[[Camera], list[LayerFragments]],
+        see: Callable[[Camera, View], Sight],
         cache_gib: float,
     ) -> None:
-        self.scene, self.views, self.rasterize = scene, views, rasterize
+        self.scene, self.views, self.see = scene, views, see
         self._free = int(cache_gib * GIB)
         self._cache: dict[int, Example] = {}
 
@@ -69,7 +70,7 @@ class Views:
         if i in self._cache:
             return self._cache[i]
         view = self.views[i]
-        example = self._example(view.name, view.camera, *self._load(view))
+        example = self._example(view, view.camera, *self._load(view))
         if example.nbytes <= self._free:
             self._free -= example.nbytes
             self._cache[i] = example
@@ -99,15 +100,15 @@ class Views:
         image = _resample(image.float(), x0, y0, scale, width, height).round().to(torch.uint8)
         if mask is not None:
             mask = _resample(mask[None].float(), x0, y0, scale, width, height)[0] > 0.5
-        return self._example(view.name, moved, image, mask)
+        return self._example(view, moved, image, mask)
 
     def _load(self, view: View) -> tuple[Tensor, Tensor | None]:
         image = torch.from_numpy(self.scene.load_image(view)).permute(2, 0, 1).contiguous()
         mask = self.scene.load_mask(view)
         return image, None if mask is None else torch.from_numpy(mask)
 
-    def _example(self, name: str, camera: Camera, image: Tensor, mask: Tensor | None) -> Example:
-        return Example(name, camera, self.rasterize(camera), image, mask)
+    def _example(self, view: View, camera: Camera, image: Tensor, mask: Tensor | None) -> Example:
+        return Example(view.name, camera, self.see(camera, view), image, mask)
 
 
 def _resample(image: Tensor, x0: float, y0: float, scale: float, width: int, height: int) -> Tensor:

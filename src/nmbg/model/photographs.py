@@ -1,0 +1,165 @@
+"""The photographs as memory: what they show that the mesh does not, blended into any view.
+
+What is blended are residuals, photograph − colour on the mesh as the photograph's own camera sees it: where
+the mesh shows too little they add it, and where no photograph sees the surface the mesh's colour remains.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nmbg.cameras import Camera
+from nmbg.mesh import Mesh
+from nmbg.model.cover import SourceCover
+from nmbg.ops import blend_photos, face_depth, mip_chain, rasterize_faces
+from nmbg.scene import Scene, View
+
+# A view is blended from this many photographs at most: more change nothing that one sees.
+CANDIDATES = 14
+# Score of the best source at which residuals count half: below it the mesh is trusted more.
+HALF_TRUST = 1e-3
+GIB = 2**30
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """What mesh and photographs show of a view; nothing here is trained by gradients.
+
+    Args:
+        base: [3, H, W] float16, colour on the mesh.
+        shown: [K, 3, H, W] float16, residuals of the K best photographs, times `trust`.
+        weights: [K, H, W] float16, their weights; they sum to one, or are 0.
+        trust: [H, W] float16 in [0, 1]: whether any photograph sees the point.
+        score: [H, W] float16 in [0, 1], of the best photograph.
+    """
+
+    base: Tensor
+    shown: Tensor
+    weights: Tensor
+    trust: Tensor
+    score: Tensor
+
+    @property
+    def nbytes(self) -> int:
+        """Memory held, bytes."""
+        return sum(t.nbytes for t in (self.base, self.shown, self.weights, self.trust, self.score))
+
+    def blended(self) -> Tensor:
+        """Mesh and photographs without a network, [3, H, W] float32."""
+        residual = (self.shown.float() * self.weights.float()[:, None]).sum(0)
+        return self.base.float() + residual
+
+    def features(self) -> Tensor:
+        """What a network may read, [features, H, W] float32: see `count_features`."""
+        blended = self.blended()
+        parts = [blended - 0.5, self.base - 0.5, self.shown.flatten(0, 1), self.weights]
+        parts += [self.trust[None], self.score[None]]
+        return torch.cat([part.float() for part in parts])
+
+
+def count_features(sources: int) -> int:
+    """Channels of Gathered.features() for K = `sources`."""
+    return 3 + 3 + 3 * sources + sources + 2
+
+
+class Photographs:
+    """Training photographs ready to be blended, prepared when they are first needed.
+
+    Args:
+        scene: gives photographs and geometry; must not be changed.
+        views: which photographs.
+        colour: camera → colour on the mesh, [3, H, W], that residuals are taken from.
+        sources: K, photographs blended in a pixel.
+        cache_gib: memory for prepared photographs, GiB; the least recently used are prepared anew.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        views: Sequence[View],
+        colour: Callable[[Camera], Tensor],
+        sources: int,
+        cache_gib: float = 4.0,
+    ) -> None:
+        self.scene, self.views, self.colour, self.sources = scene, tuple(views), colour, sources
+        self._limit = int(cache_gib * GIB)
+        self._held = 0
+        self._cache: OrderedDict[int, tuple[Tensor, Tensor]] = OrderedDict()
+        self._cover: SourceCover | None = None
+
+    def gather(self, camera: Camera, base: Tensor, without: str | None = None) -> Gathered:
+        """Blend the photographs into a view.
+
+        Args:
+            camera: the view.
+            base: [3, H, W] colour on the mesh in this view.
+            without: name of a photograph that must not be among the sources.
+        """
+        depth = mesh_depth(self.scene.mesh, camera)
+        chosen = self.candidates(camera, depth, without)
+        if not chosen:
+            return self._nothing(base)
+        texels, surfaces = zip(*(self._source(i) for i in chosen), strict=True)
+        cameras = [self.views[i].camera for i in chosen]
+        blend = blend_photos(
+            depth,
+            torch.from_numpy(np.stack([camera.warp_to(other) for other in cameras])).float(),
+            torch.from_numpy(np.stack([other.K for other in cameras])).float(),
+            float(camera.K[0, 0]),
+            texels,
+            surfaces,
+            keep=self.sources,
+            each=True,
+        )
+        trust = blend.weight / (blend.weight + HALF_TRUST)
+        # Texels hold ½ + residual / 2; a source that is not there shows 0 and must stay 0.
+        residuals = (2 * blend.shown - 1) * (blend.weights > 0)[:, None] * trust
+        return Gathered(
+            base.half(), residuals.half(), blend.weights.half(), trust.half(), blend.weight.half()
+        )
+
+    def candidates(self, camera: Camera, depth: Tensor, without: str | None = None) -> list[int]:
+        """Indices of the photographs that together show best what a view sees, in ascending order."""
+        if self._cover is None:
+            self._cover = SourceCover(self.scene.mesh, [view.camera for view in self.views])
+        left_out = [i for i, view in enumerate(self.views) if view.name == without]
+        return self._cover.choose(camera, depth, CANDIDATES, self.sources, left_out)
+
+    def _nothing(self, base: Tensor) -> Gathered:
+        size = tuple(base.shape[1:])
+        zeros = torch.zeros(self.sources, 4, *size, dtype=torch.float16)
+        return Gathered(base.half(), zeros[:, :3], zeros[:, 3], zeros[0, 3], zeros[0, 3])
+
+    def _source(self, i: int) -> tuple[Tensor, Tensor]:
+        """Mip chain of a photograph's residuals as bytes, and its depth, 0 where its mask leaves it out."""
+        if i in self._cache:
+            self._cache.move_to_end(i)
+            return self._cache[i]
+        view = self.views[i]
+        image = torch.from_numpy(self.scene.load_image(view)).float() / 255
+        residual = image - self.colour(view.camera).permute(1, 2, 0)
+        depth = mesh_depth(self.scene.mesh, view.camera)
+        mask = self.scene.load_mask(view)
+        keep = None if mask is None else torch.from_numpy(mask)
+        texels = ((0.5 + residual / 2).clamp(0, 1) * 255).round().to(torch.uint8)
+        source = mip_chain(texels, keep), depth if keep is None else depth * keep
+        self._held += sum(part.nbytes for part in source)
+        while self._cache and self._held > self._limit:
+            _, dropped = self._cache.popitem(last=False)
+            self._held -= sum(part.nbytes for part in dropped)
+        self._cache[i] = source
+        return source
+
+
+def mesh_depth(mesh: Mesh, camera: Camera) -> Tensor:
+    """View-space depth of the nearest face per pixel, [H, W] float32, 0 where there is none."""
+    faces = torch.from_numpy(mesh.faces)
+    h = camera.project(torch.from_numpy(mesh.vertices))
+    face, bary = rasterize_faces(h, faces, camera.height, camera.width)
+    return face_depth(face, bary, faces, h)
