@@ -1,0 +1,71 @@
+"""What to put behind a mesh: nothing, a far shell, or closed holes and a shell; photographs left out decide."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+
+from nmbg.mesh import Mesh
+from nmbg.reconstruct.coverage import look
+from nmbg.reconstruct.gallery import Gallery
+from nmbg.reconstruct.prediction import predict
+
+# So many views are left out and judged, spread over the capture, and at most one of three.
+JUDGED = 8
+# Each is predicted from so many others, those that look most alike.
+SOURCES = 16
+
+
+def left_out(n_views: int) -> list[int]:
+    """Which of n views judge: spread evenly; none of fewer than three."""
+    n = min(JUDGED, n_views // 3)
+    return [int((i + 0.5) * n_views / n) for i in range(n)]
+
+
+def score(gallery: Gallery, judged: Sequence[int], backgrounds: Mapping[str, Mesh | None]) -> dict[str, float]:
+    """How well photographs are predicted from the others over each of several geometries.
+
+    Args:
+        gallery: the training views, with the depth of the mesh.
+        judged: the views to be predicted.
+        backgrounds: what stands behind the mesh; nothing of it may have been made from the judged views.
+
+    Returns:
+        the mean PSNR over the judged views inside their masks, dB; pixels about which no photograph says
+        anything count with the mean colour of what other views show where they see no mesh.
+    """
+    sources = {i: _most_alike(gallery, i) for i in judged}
+    needed = sorted({*judged, *(j for some in sources.values() for j in some)})
+    place = {i: k for k, i in enumerate(needed)}
+    bare = gallery.part(needed)
+    out = {}
+    for name, background in backgrounds.items():
+        hung = bare if background is None else bare.before([look(background, c) for c in bare.cameras])
+        psnr = []
+        for i in judged:
+            camera, truth, inside, depth = hung.view(place[i])
+            others = [place[j] for j in sources[i]]
+            image, known = predict(camera, depth, hung.part(others))
+            image[~known] = _mean_without_surface(bare.part(others))
+            error = (image - truth.float())[inside].square().mean()
+            psnr.append(-10 * np.log10(max(error.item(), 1e-6) / 255**2))
+        out[name] = float(np.mean(psnr))
+    return out
+
+
+def _most_alike(gallery: Gallery, i: int) -> list[int]:
+    """The other views whose axes point most alike; of equal ones, the nearest."""
+    own = gallery.cameras[i]
+    axes = np.stack([camera.axis for camera in gallery.cameras])
+    distance = np.linalg.norm(np.stack([camera.centre for camera in gallery.cameras]) - own.centre, axis=1)
+    order = np.lexsort((distance, -(axes @ own.axis).round(6)))
+    return [int(j) for j in order if j != i][:SOURCES]
+
+
+def _mean_without_surface(gallery: Gallery) -> torch.Tensor:
+    """Mean colour [3] of the pixels that count but see no surface, or of all where there are none."""
+    open_ = gallery.inside & gallery.depth.isinf()
+    chosen = open_ if open_.any() else gallery.inside
+    return gallery.images[chosen].float().mean(0)
