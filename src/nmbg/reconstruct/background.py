@@ -1,21 +1,70 @@
-"""What to put behind a mesh: nothing, a far shell, or closed holes and a shell; photographs left out decide."""
+"""What stands behind a mesh: nothing, a far shell, or closed holes too; left-out photographs decide."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-import torch
+from torch import Tensor
 
-from nmbg.mesh import Mesh
+from nmbg.mesh import Mesh, empty_mesh, merge
+from nmbg.reconstruct.completion import close_holes
 from nmbg.reconstruct.coverage import look
 from nmbg.reconstruct.gallery import Gallery
 from nmbg.reconstruct.prediction import predict
+from nmbg.reconstruct.shell import far_shell
 
 # So many views are left out and judged, spread over the capture, and at most one of three.
 JUDGED = 8
 # Each is predicted from so many others, those that look most alike.
 SOURCES = 16
+# More geometry must gain at least this much over less, dB: below it the judged views may differ by chance.
+MARGIN = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Background:
+    """What stands behind a mesh.
+
+    Args:
+        patches: over its holes; empty unless they were closed.
+        shell: behind everything; empty when there is no background.
+    """
+
+    patches: Mesh
+    shell: Mesh
+
+    @property
+    def whole(self) -> Mesh:
+        """Patches, then shell."""
+        return merge(self.patches, self.shell)
+
+
+def make_background(kind: str, gallery: Gallery) -> Background:
+    """Make a background of a kind ("none", "shell" or "closed") from training views with the mesh's depth."""
+    if kind == "none":
+        return Background(empty_mesh(), empty_mesh())
+    if kind == "shell":
+        return Background(empty_mesh(), far_shell(gallery))
+    patches = close_holes(gallery)
+    return Background(patches, far_shell(gallery.before([look(patches, c) for c in gallery.cameras])))
+
+
+def best_background(gallery: Gallery) -> tuple[str, str]:
+    """Choose the kind of background that predicts left-out training views best; the kind, and why."""
+    judged = left_out(len(gallery))
+    if not judged:
+        return "shell", f"{len(gallery)} training views are too few to judge closed holes"
+    rest = gallery.part([i for i in range(len(gallery)) if i not in judged])
+    kinds = ("none", "shell", "closed")
+    psnr = score(gallery, judged, {kind: make_background(kind, rest).whole for kind in kinds})
+    best = kinds[0]
+    for kind in kinds[1:]:
+        if psnr[kind] > psnr[best] + MARGIN:
+            best = kind
+    figures = ", ".join(f"{kind} {psnr[kind]:.2f}" for kind in kinds)
+    return best, f"{len(judged)} training views left out, predicted from the others (PSNR, dB): {figures}"
 
 
 def left_out(n_views: int) -> list[int]:
@@ -24,7 +73,7 @@ def left_out(n_views: int) -> list[int]:
     return [int((i + 0.5) * n_views / n) for i in range(n)]
 
 
-def score(gallery: Gallery, judged: Sequence[int], backgrounds: Mapping[str, Mesh | None]) -> dict[str, float]:
+def score(gallery: Gallery, judged: Sequence[int], backgrounds: Mapping[str, Mesh]) -> dict[str, float]:
     """How well photographs are predicted from the others over each of several geometries.
 
     Args:
@@ -42,7 +91,7 @@ def score(gallery: Gallery, judged: Sequence[int], backgrounds: Mapping[str, Mes
     bare = gallery.part(needed)
     out = {}
     for name, background in backgrounds.items():
-        hung = bare if background is None else bare.before([look(background, c) for c in bare.cameras])
+        hung = bare.before([look(background, c) for c in bare.cameras])
         psnr = []
         for i in judged:
             camera, truth, inside, depth = hung.view(place[i])
@@ -64,7 +113,7 @@ def _most_alike(gallery: Gallery, i: int) -> list[int]:
     return [int(j) for j in order if j != i][:SOURCES]
 
 
-def _mean_without_surface(gallery: Gallery) -> torch.Tensor:
+def _mean_without_surface(gallery: Gallery) -> Tensor:
     """Mean colour [3] of the pixels that count but see no surface, or of all where there are none."""
     open_ = gallery.inside & gallery.depth.isinf()
     chosen = open_ if open_.any() else gallery.inside

@@ -1,10 +1,10 @@
 """Patches over the holes of a mesh, from the depths that the training views have around the holes.
 
-In every training view the depth of pixels without a surface is filled from around, far sides first (what shows
-through a hole lies behind), and a coarse grid of it becomes a patch. What another view contradicts is left
-out: where it sees a surface behind the patch, or where it shows other colours. The views take turns, those
-with the largest holes first, and each fills only what mesh and earlier patches leave open, so that patches
-lie beside each other and not in a stack.
+In every training view the depth of pixels without a surface is filled from around, far sides first (what
+shows through a hole lies behind), and a coarse grid of it becomes a patch. What another view contradicts is
+left out: where it sees a surface behind the patch, or where it shows other colours. The views take turns,
+those with the largest holes first, and each fills only what mesh and earlier patches leave open, so that
+patches lie beside each other and not in a stack.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from nmbg.cameras import Camera
-from nmbg.mesh import GREY, Mesh, drop_unused, merge
+from nmbg.mesh import GREY, Mesh, drop_unused, empty_mesh, merge
 from nmbg.reconstruct.coverage import look
-from nmbg.reconstruct.depths import FAR_EXPONENT, push_pull, unproject
+from nmbg.reconstruct.depths import FAR_EXPONENT, Floats, push_pull, unproject
 from nmbg.reconstruct.gallery import Gallery
 
 # Side of a patch's cells, pixels of the gallery: holes are smooth, or nothing is known about them.
@@ -26,7 +26,7 @@ CELL = 3
 SMOOTHING = 3
 # Neighbouring nodes of a patch whose depths differ by more than this factor are not joined.
 JUMP = 1.3
-# A patch contradicts a view when it stands in front of what the view sees by more than this share of its depth.
+# A patch contradicts a view when it stands in front of what the view sees by more than this share of depth.
 IN_FRONT = 0.05
 # A view that sees a surface nearer than the patch by more than this share of its depth cannot judge colours.
 HIDDEN = 0.02
@@ -47,7 +47,7 @@ def close_holes(gallery: Gallery) -> Mesh:
     Returns:
         the patches alone; possibly without any vertex.
     """
-    patches = Mesh(np.empty((0, 3), np.float32), np.empty((0, 3), np.int32), np.empty((0, 3), np.uint8))
+    patches = empty_mesh()
     blurred = _blurred(gallery)
     for i in _largest_first(gallery):
         camera, _, inside, depth = gallery.view(i)
@@ -66,8 +66,10 @@ def _largest_first(gallery: Gallery) -> list[int]:
 
 
 def _blurred(gallery: Gallery) -> Gallery:
-    """The gallery with images averaged over cells, so that a pixel's shift does not count as another colour."""
-    images = F.avg_pool2d(gallery.images.permute(0, 3, 1, 2).float(), CELL, 1, CELL // 2, count_include_pad=False)
+    """The gallery with images averaged over cells, so that a shift by a pixel is no other colour."""
+    images = F.avg_pool2d(
+        gallery.images.permute(0, 3, 1, 2).float(), CELL, 1, CELL // 2, count_include_pad=False
+    )
     return Gallery(gallery.cameras, images.permute(0, 2, 3, 1).round().byte(), gallery.inside, gallery.depth)
 
 
@@ -100,7 +102,7 @@ def _patch(camera: Camera, depth: Tensor, open_: Tensor) -> Mesh:
     return _grid(vertices, node, F.max_pool2d(needed, CELL)[0, 0] > 0)
 
 
-def _grid(vertices: np.ndarray, node: Tensor, needed: Tensor) -> Mesh:
+def _grid(vertices: Floats, node: Tensor, needed: Tensor) -> Mesh:
     """Triangles between neighbouring nodes [R, C] where one is needed and no depth jumps."""
     corner = torch.arange(node.numel()).reshape(node.shape)
     a, b, c, d = (x.flatten() for x in (corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]))
@@ -126,4 +128,4 @@ def _undisputed(patch: Mesh, own: int, gallery: Gallery) -> Mesh:
     agree = (colours - colours[own]).abs().mean(-1) < SAME_COLOUR
     votes, agreeing = judges.sum(0), (judges & agree).sum(0)
     keep = ~in_front[others].any(0) & (agreeing >= AGREEING * votes)
-    return drop_unused(patch, keep.numpy()[patch.faces].all(1))
+    return drop_unused(patch, keep[torch.from_numpy(patch.faces).long()].all(1).numpy())

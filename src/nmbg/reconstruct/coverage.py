@@ -53,6 +53,13 @@ def look(mesh: Mesh, camera: Camera) -> Sight:
     return Sight(camera, face, face_depth(face, bary, faces, h))
 
 
+def behind(front: Sight, back: Sight, offset: int) -> Sight:
+    """One view of two meshes as one: the nearer is seen; faces of the second count from `offset` on."""
+    nearer = back.covered & ~(front.covered & (front.depth <= back.depth))
+    face = torch.where(nearer, back.face + offset, front.face)
+    return Sight(front.camera, face, torch.where(nearer, back.depth, front.depth))
+
+
 def mask_at(mask: npt.NDArray[np.bool_] | None, camera: Camera) -> npt.NDArray[np.bool_]:
     """A view's mask [h, w] at the pixel centres of a smaller camera, [H, W] bool; all true without one."""
     if mask is None:

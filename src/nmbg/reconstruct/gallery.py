@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from nmbg.cameras import Camera
@@ -54,8 +55,11 @@ class Gallery:
     depth: Tensor
 
     @staticmethod
-    def hang(sights: Sequence[Sight], images: Sequence[Image], masks: Sequence[Mask]) -> Gallery:
-        """Stack views of one or several sizes; images [H, W, 3] and masks [H, W] have their sights' sizes."""
+    def hang(sights: Sequence[Sight], images: Iterable[Image], masks: Sequence[Mask]) -> Gallery:
+        """Stack views: images [h, w, 3] uint8, read one at a time, are averaged down to the sights' sizes.
+
+        Masks [H, W] bool have these sizes already.
+        """
         height = max(sight.camera.height for sight in sights)
         width = max(sight.camera.width for sight in sights)
         stacked = torch.zeros(len(sights), height, width, 3, dtype=torch.uint8)
@@ -63,7 +67,10 @@ class Gallery:
         depth = torch.full((len(sights), height, width), torch.inf)
         for i, (sight, image, mask) in enumerate(zip(sights, images, masks, strict=True)):
             rows, columns = slice(sight.camera.height), slice(sight.camera.width)
-            stacked[i, rows, columns] = torch.from_numpy(image)
+            # torch has no average over bytes; OpenImageIO's filter would take most of the closing's time.
+            full = torch.from_numpy(image).permute(2, 0, 1).float()
+            small = F.adaptive_avg_pool2d(full, (sight.camera.height, sight.camera.width))
+            stacked[i, rows, columns] = small.permute(1, 2, 0).round().byte()
             inside[i, rows, columns] = torch.from_numpy(mask)
             depth[i, rows, columns] = torch.where(sight.covered, sight.depth, torch.inf)
         return Gallery(tuple(sight.camera for sight in sights), stacked, inside, depth)

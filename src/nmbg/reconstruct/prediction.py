@@ -11,7 +11,7 @@ from nmbg.cameras import Camera
 from nmbg.reconstruct.depths import unproject
 from nmbg.reconstruct.gallery import Gallery
 
-# A photograph whose own surface lies in front of the point by more than this share of its depth shows something else.
+# A photograph that sees a surface nearer than the point by more than this share of its depth shows another.
 HIDDEN = 0.02
 # Angle between two rays at which the weight of a photograph has fallen to 1/e, radians.
 ANGLE = 0.05
@@ -26,7 +26,7 @@ def predict(camera: Camera, depth: Tensor, sources: Gallery) -> tuple[Tensor, Te
         sources: photographs with the depth of the same geometry.
 
     Returns:
-        colour [H, W, 3] float32 of 255, and known [H, W] bool: whether any source shows the point; 0 elsewhere.
+        colour [H, W, 3] float32 of 255, and known [H, W] bool: whether a source shows the point (else colour 0).
     """
     surface = depth.isfinite()
     image, known = torch.zeros(*depth.shape, 3), torch.zeros_like(surface)

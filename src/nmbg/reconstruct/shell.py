@@ -18,7 +18,7 @@ from nmbg.reconstruct.coverage import look
 from nmbg.reconstruct.depths import Floats, fill_depth, unproject
 from nmbg.reconstruct.gallery import Gallery
 
-# Of larger views every n-th pixel is used, for about this many along the longer side: holes matter, not details.
+# Of larger views every n-th pixel is used, some such many along the longer side: holes matter, not details.
 FIT_SIZE = 100
 # Neighbouring views see the same holes; of more than this, every n-th is used.
 MOST_VIEWS = 60
