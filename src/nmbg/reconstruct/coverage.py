@@ -107,5 +107,5 @@ def count_coverage(
     n = max(1, len(inside))
     hit = inside[inside >= 0].long()
     part = torch.bucketize(hit, torch.tensor(parts).cumsum(0), right=True)
-    mesh, patches, shell = (torch.bincount(part, minlength=3)[:3] / n).tolist()
+    mesh, patches, shell = (torch.bincount(part, minlength=3).double() / n).tolist()
     return ViewCoverage(split, mask.mean().item(), mesh, patches, shell, foreground[hit].sum().item() / n)

@@ -26,7 +26,7 @@ def predict(camera: Camera, depth: Tensor, sources: Gallery) -> tuple[Tensor, Te
         sources: photographs with the depth of the same geometry.
 
     Returns:
-        colour [H, W, 3] float32 of 255, and known [H, W] bool: whether a source shows the point (else colour 0).
+        colour [H, W, 3] float32 of 255, and known [H, W] bool: whether a source shows the point (else 0).
     """
     surface = depth.isfinite()
     image, known = torch.zeros(*depth.shape, 3), torch.zeros_like(surface)
