@@ -137,14 +137,29 @@ def test_patches_lie_beside_each_other_and_not_in_a_stack() -> None:
     assert (count <= 2).mean() > 0.98
 
 
-def test_what_the_photographs_contradict_is_dropped() -> None:
+@pytest.mark.parametrize("behind", [9.0, 16.0])
+def test_what_the_photographs_contradict_is_moved_or_dropped(behind: float) -> None:
     """Behind the hole lies something far away, unknown to the mesh: at the wall's depth views disagree."""
     known = pierced(WALL, 0.6)
-    window = merge(known, plate(9.0, 12.0))
-    kept = close_holes(gallery(WALL, known, row()))
-    contradicted = close_holes(gallery(window, known, row()))
-    inner = (np.abs(contradicted.vertices[:, :2]) < 0.45).all(1)
-    assert inner.sum() < 0.3 * (np.abs(kept.vertices[:, :2]) < 0.45).all(1).sum()
+    right = close_holes(gallery(WALL, known, row()))
+    other = close_holes(gallery(merge(known, plate(behind, 1.4 * behind)), known, row()))
+
+    def in_the_hole(patches: Mesh) -> int:
+        x, y, z = patches.vertices.T
+        return int(((np.abs(x) < 0.45) & (np.abs(y) < 0.45) & (z < 1.2 * DEPTH)).sum())
+
+    assert in_the_hole(other) < 0.5 * in_the_hole(right)
+
+
+def test_patches_stand_where_the_photographs_agree() -> None:
+    """The wall recedes within the hole, by more than what its rim tells."""
+    known = pierced(WALL, 0.8)
+    recess = plate(1.4 * DEPTH, 3.0)
+    patches = close_holes(gallery(merge(known, recess), known, row()))
+    x, y, z = patches.vertices.T
+    middle = (np.abs(x) < 0.5) & (np.abs(y) < 0.5)
+    assert middle.sum() > 10
+    assert np.median(z[middle]) == pytest.approx(1.4 * DEPTH, rel=0.1)
 
 
 def test_views_without_any_surface_are_no_obstacle() -> None:

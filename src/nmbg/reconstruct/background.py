@@ -85,7 +85,7 @@ def score(gallery: Gallery, judged: Sequence[int], backgrounds: Mapping[str, Mes
         the mean PSNR over the judged views inside their masks, dB; pixels about which no photograph says
         anything count with the mean colour of what other views show where they see no mesh.
     """
-    sources = {i: _most_alike(gallery, i) for i in judged}
+    sources = {i: gallery.most_alike(i, SOURCES) for i in judged}
     needed = sorted({*judged, *(j for some in sources.values() for j in some)})
     place = {i: k for k, i in enumerate(needed)}
     bare = gallery.part(needed)
@@ -102,15 +102,6 @@ def score(gallery: Gallery, judged: Sequence[int], backgrounds: Mapping[str, Mes
             psnr.append(-10 * np.log10(max(error.item(), 1e-6) / 255**2))
         out[name] = float(np.mean(psnr))
     return out
-
-
-def _most_alike(gallery: Gallery, i: int) -> list[int]:
-    """The other views whose axes point most alike; of equal ones, the nearest."""
-    own = gallery.cameras[i]
-    axes = np.stack([camera.axis for camera in gallery.cameras])
-    distance = np.linalg.norm(np.stack([camera.centre for camera in gallery.cameras]) - own.centre, axis=1)
-    order = np.lexsort((distance, -(axes @ own.axis).round(6)))
-    return [int(j) for j in order if j != i][:SOURCES]
 
 
 def _mean_without_surface(gallery: Gallery) -> Tensor:

@@ -103,6 +103,14 @@ class Gallery:
             self.depth[i, rows, columns],
         )
 
+    def most_alike(self, i: int, n: int) -> list[int]:
+        """The n other views whose axes point most as this one's does; of equal ones, the nearest."""
+        own = self.cameras[i]
+        axes = np.stack([camera.axis for camera in self.cameras])
+        distance = np.linalg.norm(np.stack([camera.centre for camera in self.cameras]) - own.centre, axis=1)
+        order = np.lexsort((distance, -(axes @ own.axis).round(6)))
+        return [int(j) for j in order if j != i][:n]
+
     def open(self, i: int) -> Tensor:
         """Pixels of a view that count but see no surface, [h, w] bool."""
         _, _, inside, depth = self.view(i)
