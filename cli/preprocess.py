@@ -41,10 +41,10 @@ from nmbg.scene import Scene
 )
 @click.option(
     "--background",
-    type=click.Choice(["shell", "none", "auto"]),
+    type=click.Choice(["closed", "shell", "none", "auto"]),
     default="auto",
     show_default=True,
-    help="What stands behind the mesh.",
+    help="What stands behind the mesh: closed holes and a far shell, the shell alone, nothing.",
 )
 @click.option(
     "--skip-missing", is_flag=True, help="Go on without images that the model names but the folder lacks."
@@ -60,7 +60,7 @@ def command(
     test_every: int,
     split: Path | None,
     layers: Literal["1", "2", "auto"],
-    background: Literal["shell", "none", "auto"],
+    background: Literal["closed", "shell", "none", "auto"],
     skip_missing: bool,
     overwrite: bool,
 ) -> None:
@@ -87,14 +87,21 @@ def print_summary(scene: Scene) -> None:
         "  split", f"{images['train']} training, {images['test']} held out; {_size(images['size'])}"
     )
     table.add_row("mesh", f"{mesh['vertices']:,} vertices, {mesh['faces']:,} faces from {mesh['file']}")
-    for part in ("mesh", "shell", "together"):
+    for part in ("mesh", "patches", "shell", "together"):
         least, mean = coverage[part]["min"], coverage[part]["mean"]
         table.add_row(
             "covered" if part == "mesh" else "", f"{part}: {mean:.1%} of a view's pixels (least {least:.1%})"
         )
-    shell = found["shell"]
-    detail = f" ({shell['vertices']:,} vertices, {shell['faces']:,} faces)" if shell["vertices"] else ""
-    table.add_row("background", f"{found['background']['chosen']}{detail}: {found['background']['why']}")
+    table.add_row("background", f"{found['background']['chosen']}: {found['background']['why']}")
+    closing, shell = found["closing"], found["shell"]
+    if closing["faces"]:
+        table.add_row(
+            "  patches",
+            f"{closing['vertices']:,} vertices, {closing['faces']:,} faces; training pixels without near "
+            f"geometry {closing['open_before']:.2%} → {closing['open_after']:.2%}",
+        )
+    if shell["faces"]:
+        table.add_row("  shell", f"{shell['vertices']:,} vertices, {shell['faces']:,} faces")
     table.add_row("layers", f"{found['layers']['chosen']}: {found['layers']['why']}")
     Console().print(table)
 

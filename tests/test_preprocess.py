@@ -17,7 +17,7 @@ import trimesh
 from nmbg.errors import NmbgError
 from nmbg.images import write_image
 from nmbg.preprocess import PreprocessOptions, preprocess
-from nmbg.reconstruct.coverage import visible_faces
+from nmbg.reconstruct.coverage import look
 from nmbg.scene import Scene
 
 
@@ -31,8 +31,10 @@ def test_the_scene_holds_what_the_capture_showed(scene_folder: Path) -> None:
         2,
     )
     assert summary["mesh"]["vertices"] + scene.shell_vertices == len(scene.mesh.vertices)
-    assert summary["background"]["chosen"] == "shell"
-    assert summary["coverage"]["together"]["min"] == 1
+    assert summary["background"]["chosen"] == "shell", "what lies around is sky"
+    assert all(f"{kind} " in summary["background"]["why"] for kind in ("none", "shell", "closed"))
+    assert summary["closing"]["faces"] == 0
+    assert summary["coverage"]["together"]["min"] == pytest.approx(1)
     assert 0.3 < summary["coverage"]["mesh"]["mean"] < 0.95
     assert summary["layers"]["why"]
     assert np.allclose(scene.up, [0, 0, 1], atol=0.1)
@@ -42,7 +44,7 @@ def test_vertex_colours_are_those_of_the_world(scene_folder: Path, shared_worksp
     from_photographs = Scene.load(scene_folder)
     seen = np.zeros(len(from_photographs.mesh.vertices), bool)
     for view in from_photographs.train:
-        face = visible_faces(from_photographs.mesh, view.camera)
+        face = look(from_photographs.mesh, view.camera).face.numpy()
         seen[from_photographs.mesh.faces[np.unique(face[face >= 0])]] = True
     seen[len(seen) - from_photographs.shell_vertices :] = False
     x, y, z = from_photographs.mesh.vertices[seen].T
@@ -84,6 +86,29 @@ def test_layers_can_be_chosen(wish: str, layers: int, shared_workspace: Path, tm
     assert scene.layers == layers
     assert scene.shell_faces == 0
     assert scene.summary["layers"]["why"] == "as asked"
+
+
+def test_patches_come_between_mesh_and_shell(workspace: Path, tmp_path: Path) -> None:
+    """A hole in the ground: the patch lies about where the ground was."""
+    path = workspace / "meshed-delaunay.ply"
+    whole = trimesh.load(path, process=False)
+    middle = whole.triangles_center
+    hole = (np.abs(middle[:, 2]) < 1e-3) & (np.linalg.norm(middle[:, :2] - [1.5, 0], axis=1) < 0.45)
+    whole.update_faces(~hole)
+    whole.export(path)
+    scene = preprocess(workspace, tmp_path / "scene", PreprocessOptions(background="closed"))
+    closing, found = scene.summary["closing"], scene.summary
+    n = found["mesh"]["vertices"]
+    assert n + closing["vertices"] + scene.shell_vertices == len(scene.mesh.vertices)
+    assert found["mesh"]["faces"] + closing["faces"] + scene.shell_faces == len(scene.mesh.faces)
+    assert found["background"] == {"chosen": "closed", "why": "as asked"}
+    assert closing["open_after"] < closing["open_before"]
+    assert found["coverage"]["patches"]["mean"] > 0
+    assert found["coverage"]["together"]["min"] == pytest.approx(1)
+    patches = scene.mesh.vertices[n : n + closing["vertices"]]
+    inside = np.linalg.norm(patches[:, :2] - [1.5, 0], axis=1) < 0.3
+    assert inside.sum() > 5
+    assert np.median(np.abs(patches[inside, 2])) < 0.4, "some five pixels of these photographs"
 
 
 def write_masks(folder: Path, width: int = 64, height: int = 48) -> Path:

@@ -30,6 +30,11 @@ class Mesh:
     colours: npt.NDArray[np.uint8]
 
 
+def empty_mesh() -> Mesh:
+    """A mesh of nothing."""
+    return Mesh(np.empty((0, 3), np.float32), np.empty((0, 3), np.int32), np.empty((0, 3), np.uint8))
+
+
 def load_mesh(path: Path) -> tuple[Mesh, bool]:
     """Read a mesh file: PLY, OBJ, OFF, GLB, whatever trimesh reads; polygons become triangles.
 

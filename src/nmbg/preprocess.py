@@ -5,28 +5,30 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from nmbg.atomic import atomic_folder, refuse_existing
-from nmbg.cameras import Camera, Sphere, foreground_sphere, up_axis
+from nmbg.cameras import Sphere, foreground_sphere, up_axis
 from nmbg.errors import NmbgError
-from nmbg.images import Image, Mask
+from nmbg.images import Mask
 from nmbg.importers import Capture, Photo, read_capture
 from nmbg.importers.splits import every_nth, read_split
 from nmbg.importers.store import find_masks, store_photograph
-from nmbg.mesh import Mesh, load_mesh, merge
+from nmbg.mesh import Mesh, empty_mesh, load_mesh, merge
 from nmbg.progress import progress_bar
+from nmbg.reconstruct.background import Background, best_background, make_background
 from nmbg.reconstruct.colours import mean_vertex_colours, spread
-from nmbg.reconstruct.coverage import ViewCoverage, count_coverage
-from nmbg.reconstruct.shell import far_shell
+from nmbg.reconstruct.coverage import Sight, ViewCoverage, behind, count_coverage, look, mask_at, reduced
+from nmbg.reconstruct.gallery import Gallery
 from nmbg.scene import Scene, Split, View
 
-# A shell pays from this share of uncovered training pixels on.
+# A background pays from this share of uncovered training pixels on.
 UNCOVERED_SHARE = 0.005
 # Masks that keep less of the photographs than this show an object without its background.
 OBJECT_SHARE = 0.8
@@ -48,7 +50,7 @@ class PreprocessOptions:
         test_every: hold out every n-th view by sorted name; 0 holds out none.
         split: split file; overrides `test_every`.
         layers: "1", "2", or "auto".
-        background: "shell", "none", or "auto".
+        background: "closed" (patches over the holes, shell behind), "shell", "none", or "auto".
         skip_missing: go on without photographs that the model names but the folder lacks.
     """
 
@@ -59,7 +61,7 @@ class PreprocessOptions:
     test_every: int = 8
     split: Path | None = None
     layers: Literal["1", "2", "auto"] = "auto"
-    background: Literal["shell", "none", "auto"] = "auto"
+    background: Literal["closed", "shell", "none", "auto"] = "auto"
     skip_missing: bool = False
 
 
@@ -154,59 +156,106 @@ def _store(
 def _assemble(
     folder: Path, mesh: Mesh, coloured: bool, views: tuple[View, ...], options: PreprocessOptions, source: str
 ) -> Scene:
-    """Decide sphere, background and layers; add the shell; colour everything."""
+    """Decide sphere, background and layers; add patches and shell; colour everything."""
     cameras = [view.camera for view in views if view.split == "train"]
     sphere = foreground_sphere(cameras)
     bare = Scene(folder, mesh, 0, 0, views, sphere.centre, sphere.radius, up_axis(cameras), 1, {}, source)
 
-    seen = count_coverage(bare, "coverage")
+    sights, masks = _look(bare)
+    seen = _coverage(bare, sights, masks, (len(mesh.faces), 0, 0))
     if max(view.mesh for view in seen) < LEAST_COVERAGE:
         raise NmbgError(
             f"{options.mesh or source}: the mesh covers no view; give one in the cameras' coordinate frame"
         )
-    background, background_why = _choose_background(
-        options.background, [v for v in seen if v.split == "train"]
-    )
-    shell = far_shell(mesh, cameras) if background == "shell" else None
-    whole = mesh if shell is None else merge(mesh, shell)
-    n_vertices, n_faces = len(whole.vertices) - len(mesh.vertices), len(whole.faces) - len(mesh.faces)
-    uncoloured = Scene(
-        folder, whole, n_vertices, n_faces, views, sphere.centre, sphere.radius, bare.up, 1, {}, source
-    )
-    if shell is not None:
-        seen = count_coverage(uncoloured, "shell coverage")
+    open_before = 1 - _share(seen, "mesh")
+    background, chosen, why = _background(options.background, bare, sights, masks, seen)
+    patches, shell = background.patches, background.shell
+    whole = merge(mesh, background.whole)
+    scene = replace(bare, mesh=whole, shell_vertices=len(shell.vertices), shell_faces=len(shell.faces))
+    if len(background.whole.faces):
+        sights = [
+            behind(sight, look(background.whole, sight.camera), len(mesh.faces))
+            for sight in _tracked(sights, "background coverage")
+        ]
+        seen = _coverage(scene, sights, masks, (len(mesh.faces), len(patches.faces), len(shell.faces)))
     layers, layers_why = _choose_layers(options.layers, sphere, [v for v in seen if v.split == "train"])
     summary = {
         "coverage": _coverage_summary(seen),
-        "background": {"chosen": background, "why": background_why},
+        "background": {"chosen": chosen, "why": why},
+        "closing": {
+            "vertices": len(patches.vertices),
+            "faces": len(patches.faces),
+            "open_before": open_before,
+            "open_after": 1 - _share(seen, "mesh") - _share(seen, "patches"),
+        },
         "layers": {"chosen": layers, "why": layers_why},
     }
-    coloured_mesh = Mesh(whole.vertices, whole.faces, _colours(uncoloured, coloured))
-    return Scene(
-        folder,
-        coloured_mesh,
-        n_vertices,
-        n_faces,
-        views,
-        sphere.centre,
-        sphere.radius,
-        bare.up,
-        layers,
-        summary,
-        source,
-    )
+    coloured_mesh = Mesh(whole.vertices, whole.faces, _colours(scene, len(mesh.vertices) if coloured else 0))
+    return replace(scene, mesh=coloured_mesh, layers=layers, summary=summary)
 
 
-def _choose_background(wish: str, train: list[ViewCoverage]) -> tuple[str, str]:
+T = TypeVar("T")
+
+
+def _tracked(items: Sequence[T], description: str) -> Iterator[T]:
+    with progress_bar() as bar:
+        yield from bar.track(items, description=description)
+
+
+def _look(scene: Scene) -> tuple[list[Sight], list[Mask]]:
+    """What every view sees of a scene's mesh, and its mask, both reduced."""
+    sights, masks = [], []
+    for view in _tracked(scene.views, "coverage"):
+        sights.append(look(scene.mesh, reduced(view.camera)))
+        masks.append(mask_at(scene.load_mask(view), sights[-1].camera))
+    return sights, masks
+
+
+def _coverage(
+    scene: Scene, sights: Sequence[Sight], masks: Sequence[Mask], parts: tuple[int, int, int]
+) -> list[ViewCoverage]:
+    """Count what the views see of a mesh whose faces are so many of the mesh, of patches and of the shell."""
+    inside = np.linalg.norm(scene.mesh.vertices - scene.centre, axis=1) < scene.radius
+    foreground = torch.from_numpy(inside[scene.mesh.faces].all(axis=1))
+    return [
+        count_coverage(view.split, mask, sight.face, parts, foreground)
+        for view, sight, mask in zip(scene.views, sights, masks, strict=True)
+    ]
+
+
+def _share(seen: Sequence[ViewCoverage], part: str) -> float:
+    """Share of the pixels of the training views inside their masks that see a part."""
+    train = [view for view in seen if view.split == "train"]
+    kept = [view.kept for view in train]
+    return float(np.average([getattr(view, part) for view in train], weights=kept)) if sum(kept) else 0.0
+
+
+def _background(
+    wish: str, scene: Scene, sights: Sequence[Sight], masks: Sequence[Mask], seen: Sequence[ViewCoverage]
+) -> tuple[Background, str, str]:
+    """The background, its kind, and why it is of this kind."""
+    chosen, why = _judge_by_coverage(wish, seen)
+    if chosen == "none":
+        return Background(empty_mesh(), empty_mesh()), chosen, why
+    train = [i for i, view in enumerate(scene.views) if view.split == "train"]
+    images = (scene.load_image(scene.views[i]) for i in _tracked(train, "holes"))
+    gallery = Gallery.hang([sights[i] for i in train], images, [masks[i] for i in train])
+    if chosen == "auto":
+        chosen, why = best_background(gallery)
+    return make_background(chosen, gallery), chosen, why
+
+
+def _judge_by_coverage(wish: str, seen: Sequence[ViewCoverage]) -> tuple[str, str]:
+    """What was asked for; of "auto", what the masks and the coverage decide already."""
     if wish != "auto":
         return wish, "as asked"
-    kept = float(np.mean([view.kept for view in train]))
+    kept = float(np.mean([view.kept for view in seen if view.split == "train"]))
     if kept < OBJECT_SHARE:
         return "none", f"the masks keep {kept:.0%} of the pixels: an object on a removed background"
-    uncovered = 1 - float(np.average([view.mesh for view in train], weights=[view.kept for view in train]))
-    if uncovered > UNCOVERED_SHARE:
-        return "shell", f"{uncovered:.1%} of the training pixels see no mesh"
-    return "none", f"only {uncovered:.1%} of the training pixels see no mesh"
+    uncovered = 1 - _share(seen, "mesh")
+    if uncovered <= UNCOVERED_SHARE:
+        return "none", f"only {uncovered:.1%} of the training pixels see no mesh"
+    return "auto", ""
 
 
 def _choose_layers(wish: str, sphere: Sphere, train: list[ViewCoverage]) -> tuple[int, str]:
@@ -215,7 +264,7 @@ def _choose_layers(wish: str, sphere: Sphere, train: list[ViewCoverage]) -> tupl
     if not sphere.ring:
         return 1, "the cameras do not surround what they look at"
     near = sum(view.foreground for view in train)
-    share = near / max(sum(view.mesh + view.shell for view in train), 1e-9)
+    share = near / max(sum(view.mesh + view.patches + view.shell for view in train), 1e-9)
     layers = 2 if LAYER_SHARE <= share <= 1 - LAYER_SHARE else 1
     return layers, f"the cameras surround the scene; the foreground holds {share:.0%} of the covered pixels"
 
@@ -223,28 +272,25 @@ def _choose_layers(wish: str, sphere: Sphere, train: list[ViewCoverage]) -> tupl
 def _coverage_summary(seen: list[ViewCoverage]) -> dict[str, dict[str, float]]:
     columns = {
         "mesh": [view.mesh for view in seen],
+        "patches": [view.patches for view in seen],
         "shell": [view.shell for view in seen],
-        "together": [view.mesh + view.shell for view in seen],
+        "together": [view.mesh + view.patches + view.shell for view in seen],
     }
     return {name: {"min": float(min(v)), "mean": float(np.mean(v))} for name, v in columns.items()}
 
 
-def _colours(scene: Scene, coloured: bool) -> npt.NDArray[np.uint8]:
-    """Mean observed colours; unseen vertices keep the file's own, or take their neighbours'."""
-
-    def photographs() -> Iterator[tuple[Camera, Image, Mask | None]]:
-        with progress_bar() as bar:
-            for view in bar.track(scene.train, description="colours"):
-                yield view.camera, scene.load_image(view), scene.load_mask(view)
-
+def _colours(scene: Scene, n_own: int) -> npt.NDArray[np.uint8]:
+    """Mean observed colours; unseen, the first `n_own` vertices keep theirs, others ask around."""
+    photographs = (
+        (view.camera, scene.load_image(view), scene.load_mask(view))
+        for view in _tracked(scene.train, "colours")
+    )
     mesh = scene.mesh
-    colours, known = mean_vertex_colours(mesh, photographs())
-    if coloured:
-        own = ~known
-        own[len(own) - scene.shell_vertices :] = False
-        colours[own] = mesh.colours[own]
-        known |= own
-    return spread(colours, known, mesh.faces).round().clip(0, 255).astype(np.uint8)
+    colours, known = mean_vertex_colours(mesh, photographs)
+    own = ~known
+    own[n_own:] = False
+    colours[own] = mesh.colours[own]
+    return spread(colours, known | own, mesh.faces).round().clip(0, 255).astype(np.uint8)
 
 
 def _found(capture: Capture, mesh_path: Path, mesh: Mesh, coloured: bool, scene: Scene) -> dict[str, Any]:

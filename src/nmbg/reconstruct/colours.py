@@ -11,7 +11,7 @@ import torch
 from nmbg.cameras import Camera
 from nmbg.images import Image, Mask
 from nmbg.mesh import Mesh
-from nmbg.ops import rasterize_faces, shade_faces
+from nmbg.ops import rasterize_faces
 
 # Weight below which a vertex counts as unseen: a thousandth of a pixel.
 LEAST_WEIGHT = 1e-3
@@ -22,8 +22,7 @@ def mean_vertex_colours(
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
     """Average what the photographs show at each vertex, where the vertex's faces are the nearest.
 
-    Each pixel is shared among the vertices of its face by the barycentrics: the gradient of shading with
-    respect to constant coefficients, so one backward pass scatters the sums.
+    Each pixel is shared among the vertices of its face by the barycentrics.
 
     Args:
         mesh: the surface.
@@ -36,14 +35,13 @@ def mean_vertex_colours(
     sums = torch.zeros(len(vertices), 4)
     for camera, photograph, mask in photographs:
         face, bary = rasterize_faces(camera.project(vertices), faces, camera.height, camera.width)
-        image = torch.from_numpy(photograph).permute(2, 0, 1).float()
-        shown = torch.cat([image, torch.ones_like(image[:1])])
-        if mask is not None:
-            shown = shown * torch.from_numpy(mask)
-        coefficients = torch.zeros(len(vertices), 1, 4, requires_grad=True)
-        shaded = shade_faces(face, bary, faces, camera.rays(), coefficients)
-        (scattered,) = torch.autograd.grad(shaded, coefficients, shown)
-        sums += scattered[:, 0]
+        image = torch.from_numpy(photograph).float()
+        shown = torch.cat([image, torch.ones_like(image[..., :1])], dim=2)
+        counts = face >= 0 if mask is None else (face >= 0) & torch.from_numpy(mask)
+        corners = faces[face[counts].long()].long()
+        sums.index_add_(
+            0, corners.flatten(), (bary[counts][..., None] * shown[counts][:, None]).flatten(0, 1)
+        )
     seen = sums[:, 3] > LEAST_WEIGHT
     colours = torch.where(seen[:, None], sums[:, :3] / sums[:, 3:].clamp(min=LEAST_WEIGHT), 0.0)
     return colours.numpy(), seen.numpy()

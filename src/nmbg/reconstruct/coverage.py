@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,11 +13,10 @@ from torch import Tensor
 from nmbg.cameras import Camera
 from nmbg.mesh import Mesh
 from nmbg.ops import face_depth, rasterize_faces
-from nmbg.progress import progress_bar
-from nmbg.scene import Scene, Split
+from nmbg.scene import Split
 
-# Longer side of the views that coverage is counted in, pixels.
-COVERAGE_SIZE = 400
+# Longer side of the views in which holes are counted and closed, pixels.
+SIGHT_SIZE = 320
 
 
 @dataclass(frozen=True)
@@ -25,26 +25,24 @@ class Sight:
 
     Args:
         camera: the camera, at the size of the images below.
-        covered: [H, W] bool, where the mesh is seen.
+        face: [H, W] int32, the nearest face, −1 where none.
         depth: [H, W] float32 view-space z, scene units; 0 where the mesh is not seen.
     """
 
     camera: Camera
-    covered: Tensor
+    face: Tensor
     depth: Tensor
 
+    @property
+    def covered(self) -> Tensor:
+        """Where the mesh is seen, [H, W] bool."""
+        return self.face >= 0
 
-def reduced(camera: Camera, longest: int) -> Camera:
+
+def reduced(camera: Camera, longest: int = SIGHT_SIZE) -> Camera:
     """The camera at no more than `longest` pixels on its longer side."""
     scale = min(1.0, longest / max(camera.width, camera.height))
     return camera.resized(max(1, round(scale * camera.width)), max(1, round(scale * camera.height)))
-
-
-def visible_faces(mesh: Mesh, camera: Camera) -> npt.NDArray[np.int32]:
-    """Index of the nearest face per pixel, [H, W], −1 where none."""
-    h = camera.project(torch.from_numpy(mesh.vertices))
-    face, _ = rasterize_faces(h, torch.from_numpy(mesh.faces), camera.height, camera.width)
-    return face.numpy()
 
 
 def look(mesh: Mesh, camera: Camera) -> Sight:
@@ -52,7 +50,14 @@ def look(mesh: Mesh, camera: Camera) -> Sight:
     faces = torch.from_numpy(mesh.faces)
     h = camera.project(torch.from_numpy(mesh.vertices))
     face, bary = rasterize_faces(h, faces, camera.height, camera.width)
-    return Sight(camera, face >= 0, face_depth(face, bary, faces, h))
+    return Sight(camera, face, face_depth(face, bary, faces, h))
+
+
+def behind(front: Sight, back: Sight, offset: int) -> Sight:
+    """One view of two meshes as one: the nearer is seen; faces of the second count from `offset` on."""
+    nearer = back.covered & ~(front.covered & (front.depth <= back.depth))
+    face = torch.where(nearer, back.face + offset, front.face)
+    return Sight(front.camera, face, torch.where(nearer, back.depth, front.depth))
 
 
 def mask_at(mask: npt.NDArray[np.bool_] | None, camera: Camera) -> npt.NDArray[np.bool_]:
@@ -73,6 +78,7 @@ class ViewCoverage:
         split: of the view.
         kept: share of the image inside the mask.
         mesh: pixels that see the mesh.
+        patches: pixels that see a patch.
         shell: pixels that see the shell.
         foreground: pixels whose face belongs to the foreground layer.
     """
@@ -80,27 +86,26 @@ class ViewCoverage:
     split: Split
     kept: float
     mesh: float
+    patches: float
     shell: float
     foreground: float
 
 
-def count_coverage(scene: Scene, description: str) -> list[ViewCoverage]:
-    """Count, for every view of a scene, the pixels that see its mesh, shell and foreground."""
-    mesh = scene.mesh
-    inside = np.linalg.norm(mesh.vertices - scene.centre, axis=1) < scene.radius
-    foreground = inside[mesh.faces].all(axis=1)
-    first_shell = len(mesh.faces) - scene.shell_faces
-    out = []
-    with progress_bar() as bar:
-        for view in bar.track(scene.views, description=description):
-            camera = reduced(view.camera, COVERAGE_SIZE)
-            mask = mask_at(scene.load_mask(view), camera)
-            face = visible_faces(mesh, camera)[mask]
-            n = max(1, face.size)
-            hit = face[face >= 0]
-            shell = int((hit >= first_shell).sum())
-            near = int(foreground[hit].sum())
-            out.append(
-                ViewCoverage(view.split, mask.mean().item(), (len(hit) - shell) / n, shell / n, near / n)
-            )
-    return out
+def count_coverage(
+    split: Split, mask: npt.NDArray[np.bool_], face: Tensor, parts: Sequence[int], foreground: Tensor
+) -> ViewCoverage:
+    """Count the pixels of a view that see each part of a mesh.
+
+    Args:
+        split: of the view.
+        mask: [H, W] bool, the pixels that count.
+        face: [H, W] int32, the nearest face, −1 where none.
+        parts: how many faces mesh, patches and shell have, in this order.
+        foreground: [M] bool, whether a face belongs to the foreground layer.
+    """
+    inside = face[torch.from_numpy(mask)]
+    n = max(1, len(inside))
+    hit = inside[inside >= 0].long()
+    part = torch.bucketize(hit, torch.tensor(parts).cumsum(0), right=True)
+    mesh, patches, shell = (torch.bincount(part, minlength=3).double() / n).tolist()
+    return ViewCoverage(split, mask.mean().item(), mesh, patches, shell, foreground[hit].sum().item() / n)

@@ -7,98 +7,55 @@ in each direction is what these depths agree on, outside the convex hull of the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import numpy.typing as npt
 import torch
-import torch.nn.functional as F
 import trimesh
-from torch import Tensor
 
-from nmbg.cameras import Camera
-from nmbg.mesh import GREY, Mesh, merge
+from nmbg.mesh import GREY, Mesh
 from nmbg.reconstruct.colours import spread
-from nmbg.reconstruct.coverage import Sight, look, reduced, visible_faces
+from nmbg.reconstruct.coverage import look
+from nmbg.reconstruct.depths import Floats, fill_depth, unproject
+from nmbg.reconstruct.gallery import Gallery
 
-Floats = npt.NDArray[np.float64]
-
-# Longer side of the views that the shell is fitted to, pixels: holes matter, not details.
-FIT_SIZE = 192
+# Of larger views every n-th pixel is used, some such many along the longer side: holes matter, not details.
+FIT_SIZE = 100
 # Neighbouring views see the same holes; of more than this, every n-th is used.
-MOST_VIEWS = 100
+MOST_VIEWS = 60
 # Directions of the fit: an icosphere of 2562 vertices, four degrees apart.
 SUBDIVISIONS = 4
 # Where views see the shell it is refined while it stays below this.
 MOST_VERTICES = 40_000
-# Exponent of the power mean that fills depth; the larger, the more the far side wins.
-FAR_EXPONENT = 12
 # The shell keeps this distance from what it must not hide, as a factor of the radius.
 CLEARANCE = 1.05
 # New cameras stand beside the old ones: free space as a factor of the cameras' distance from the centre.
 BEYOND_CAMERAS = 1.5
 
 
-def far_shell(mesh: Mesh, cameras: Sequence[Camera]) -> Mesh:
-    """Build the shell for a mesh and its training cameras; its vertices are grey."""
-    centre = np.stack([camera.centre for camera in cameras]).mean(0)
-    step = -(-len(cameras) // MOST_VIEWS)
-    sights = [look(mesh, reduced(camera, FIT_SIZE)) for camera in cameras[::step]]
+def far_shell(gallery: Gallery) -> Mesh:
+    """Build the shell for the training views of a scene, behind what they see; its vertices are grey."""
+    centres = np.stack([camera.centre for camera in gallery.cameras])
+    centre = centres.mean(0)
     sphere = trimesh.creation.icosphere(subdivisions=SUBDIVISIONS)
     directions, faces = np.asarray(sphere.vertices), np.asarray(sphere.faces, dtype=np.int32)
 
     wanted: list[Floats] = []
-    inside = [BEYOND_CAMERAS * (np.stack([camera.centre for camera in cameras]) - centre)]
-    for sight in sights:
-        if sight.covered.any():
-            points = unproject(sight.camera, fill_depth(sight.depth, sight.covered)) - centre
-            wanted.append(points[~sight.covered.numpy()])
-            inside.append(points[sight.covered.numpy()])
+    inside = [BEYOND_CAMERAS * (centres - centre)]
+    fitted = range(0, len(gallery), -(-len(gallery) // MOST_VIEWS))
+    for i in fitted:
+        camera, _, _, depth = gallery.view(i)
+        covered = depth.isfinite()
+        if covered.any():
+            sparse = (slice(None, None, max(1, max(covered.shape) // FIT_SIZE)),) * 2
+            points = (unproject(camera, fill_depth(depth, covered)) - centre)[sparse]
+            wanted.append(points[gallery.open(i).numpy()[sparse]])
+            inside.append(points[covered.numpy()[sparse]])
     # Behind the hull, not only behind each point: lines of sight start at cameras, not at the centre.
     floor = CLEARANCE * _hull_radius(np.concatenate(inside), directions)
     radius, known = _cell_median(np.concatenate(wanted), directions)
     radius = np.maximum(_smooth(radius, known, faces, default=floor.max()), floor)
     shell = _mesh(centre + directions * radius[:, None], faces)
-    return _refine(shell, mesh, sights)
-
-
-def fill_depth(depth: Tensor, known: Tensor) -> Tensor:
-    """Fill unknown depth by push–pull: averages over ever larger blocks of pixels, then interpolated back.
-
-    Args:
-        depth: [H, W] positive where known, scene units.
-        known: [H, W] bool, somewhere true.
-
-    Returns:
-        [H, W] float64: `depth` where known, else a power mean of the known depths around, far ones first.
-    """
-    largest = depth[known].max().double()
-    value = torch.where(known, (depth.double() / largest).clamp(min=0) ** FAR_EXPONENT, 0.0)[None, None]
-    filled = _push_pull(value, known.double()[None, None])[0, 0] ** (1 / FAR_EXPONENT) * largest
-    return torch.where(known, depth.double(), filled)
-
-
-def _push_pull(value: Tensor, weight: Tensor) -> Tensor:
-    """Fill an image [1, 1, H, W] (0 where the weight is 0) from its own reduced copies."""
-    height, width = value.shape[2:]
-    if height == width == 1:
-        return value
-    odd = (0, width % 2, 0, height % 2)
-    total = F.avg_pool2d(F.pad(weight, odd), 2)
-    mean = F.avg_pool2d(F.pad(value * weight, odd), 2) / total.clamp(min=1e-12)
-    coarse = _push_pull(mean, (total > 0).double())
-    fine = F.interpolate(coarse, scale_factor=2, mode="bilinear", align_corners=False)
-    return torch.where(weight > 0, value, fine[..., :height, :width])
-
-
-def unproject(camera: Camera, depth: Tensor) -> Floats:
-    """World points [H, W, 3] float64 at the pixel centres, for view-space depth [H, W]."""
-    rays = camera.rays(torch.float64)
-    along_axis = rays @ torch.from_numpy(camera.axis)
-    points: Floats = (camera.centre + (rays * (depth.double() / along_axis)[..., None]).numpy()).astype(
-        np.float64
-    )
-    return points
+    return _refine(shell, gallery.part(fitted))
 
 
 def _cells(points: Floats, directions: Floats) -> npt.NDArray[np.int64]:
@@ -155,17 +112,16 @@ def _smooth(
     return smoothed
 
 
-def _refine(shell: Mesh, mesh: Mesh, sights: Sequence[Sight]) -> Mesh:
+def _refine(shell: Mesh, gallery: Gallery) -> Mesh:
     """Subdivide the facets that views see, and those around them, as often as the limit allows.
 
     The others stay: they cost little, and a camera that looks elsewhere still finds a background. A midpoint
     lies on the edge that it halves, so facets of two sizes meet without a gap.
     """
     needed: npt.NDArray[np.bool_] = np.zeros(len(shell.faces), dtype=bool)
-    whole = merge(mesh, shell)
-    for sight in sights:
-        face = visible_faces(whole, sight.camera)
-        needed[face[face >= len(mesh.faces)] - len(mesh.faces)] = True
+    for i, camera in enumerate(gallery.cameras):
+        face = look(shell, camera).face[gallery.open(i)]
+        needed[face[face >= 0].numpy()] = True
     for _ in range(2):
         touched = np.zeros(len(shell.vertices), dtype=bool)
         touched[shell.faces[needed]] = True
