@@ -39,7 +39,7 @@ NMBG_INLINE S lesser(S a, S b) {
 
 template <class S>
 NMBG_INLINE S within_unit(S x) {
-    const S capped = lesser(S(1), x);
+    const S capped = lesser(x, S(1));
     return capped > S(0) ? capped : S(0);  // 0 for what is not a number, too
 }
 

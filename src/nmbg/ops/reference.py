@@ -6,12 +6,23 @@ memory; gradients are torch's own.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor
 
+from nmbg.ops.blend import Blend
 from nmbg.ops.rasterize import face_depth
 
-__all__ = ["face_depth", "harmonics", "rasterize_faces", "rasterize_points", "shade_faces", "shade_points"]
+__all__ = [
+    "blend_photos",
+    "face_depth",
+    "harmonics",
+    "rasterize_faces",
+    "rasterize_points",
+    "shade_faces",
+    "shade_points",
+]
 
 _CHUNK = 1 << 21  # (item, pixel) pairs tested at a time
 
@@ -141,3 +152,120 @@ def shade_faces(face: Tensor, bary: Tensor, faces: Tensor, rays: Tensor, coeffs:
     """See nmbg.ops.shade_faces()."""
     seen = face >= 0
     return _shade(seen, faces[face[seen].long()], bary[seen], rays, coeffs)
+
+
+_LEAST_ANGLE = 1e-3  # below it angles do not tell sources apart: rounds off the cone at zero
+_LEAST_SHARE = 1e-4  # of a source's own score that counts even when the next one scores the same
+_SHARPNESS = 0.5  # halvings by which the level read is finer than the view: bilinear weights blur, too
+
+
+def _corners(u: Tensor, v: Tensor, width: Tensor, height: Tensor, first: Tensor) -> tuple[Tensor, Tensor]:
+    """The four pixels around places u, v [S, H, W] in images [S, 1, 1] of this size that begin at `first`.
+
+    Returns:
+        their rows in the buffer of all images and their bilinear weights, [4, S, H, W] each.
+    """
+    i, j = (u - 0.5).floor().detach(), (v - 0.5).floor().detach()
+    fx, fy = u - 0.5 - i, v - 0.5 - j
+    x = torch.stack([i, i + 1, i, i + 1]).long().clamp(min=0).minimum(width - 1)
+    y = torch.stack([j, j, j + 1, j + 1]).long().clamp(min=0).minimum(height - 1)
+    weight = torch.stack([(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy])
+    return first + y * width + x, weight
+
+
+def _joined(images: Sequence[Tensor], channels: int, like: Tensor) -> tuple[Tensor, Tensor]:
+    """All images as one [rows, channels] in the dtype of `like`, and the row where each begins, [S, 1, 1]."""
+    rows = [image.reshape(-1, channels) for image in images]
+    lengths = torch.tensor([len(image) for image in rows], dtype=torch.int64, device=like.device)
+    first = (lengths.cumsum(0) - lengths)[:, None, None]
+    ones = [255 if image.dtype == torch.uint8 else 1 for image in rows]
+    rows = [image.to(like.dtype) / one for image, one in zip(rows, ones, strict=True)]
+    return torch.cat([like.new_zeros(0, channels), *rows]), first
+
+
+def blend_photos(
+    depth: Tensor,
+    warps: Tensor,
+    intrinsics: Tensor,
+    focal: float,
+    photos: Sequence[Tensor],
+    photo_depths: Sequence[Tensor],
+    keep: int = 5,
+    angle: float = 0.1,
+    tolerance: float = 0.02,
+    border: float = 8.0,
+    each: bool = False,
+) -> Blend:
+    """See nmbg.ops.blend_photos()."""
+    texels, first_texel = _joined(photos, 3, depth)
+    surfaces, first_surface = _joined(photo_depths, 1, depth)
+    sizes = torch.tensor([surface.shape for surface in photo_depths], dtype=torch.int64, device=depth.device)
+    height, width = sizes.reshape(-1, 2)[:, :, None, None].unbind(1)
+
+    # The point in each source's camera, [S, H, W, 3], and the new view's ray there, of any length.
+    x, y = _centres(depth.shape[0], depth.shape[1], depth)
+    one = torch.ones_like(depth)
+    pixel = torch.stack([x * one, y * one, one], -1)
+    z = torch.where((depth > 0) & depth.isfinite(), depth, 0)
+    ray = torch.einsum("sij,hwj->shwi", warps[:, :, :3], pixel)
+    point = z[..., None] * ray + warps[:, None, None, :, 3]
+    front = (point[..., 2] > 0) & (z > 0)
+    g = torch.where(front[..., None], point, 1.0)
+
+    # Where the source sees it, held within a pixel of the photograph.
+    K = intrinsics[:, :, :, None, None]
+    u = (K[:, 0, 0] * g[..., 0] + K[:, 0, 1] * g[..., 1]) / g[..., 2] + K[:, 0, 2]
+    v = K[:, 1, 1] * g[..., 1] / g[..., 2] + K[:, 1, 2]
+    u, v = u.clamp(min=-1).minimum(width + 1), v.clamp(min=-1).minimum(height + 1)
+    u, v = torch.where(u.isnan(), -1, u), torch.where(v.isnan(), -1, v)
+
+    # The factors of the score.
+    inside = u.minimum(width - u).minimum(v.minimum(height - v))
+    along = torch.nn.functional.normalize(g, dim=-1) - torch.nn.functional.normalize(ray, dim=-1)
+    theta = ((along**2).sum(-1) + _LEAST_ANGLE**2).sqrt()
+    finer = K[:, 0, 0] / focal * z / g[..., 2]
+    at, share = _corners(u, v, width, height, first_surface)
+    surface = surfaces[at, 0].where(surfaces[at, 0].isfinite(), 0)
+    off = (g[..., 2] - surface).abs() / (tolerance * torch.where(surface > 0, surface, 1))
+    share = share * torch.where(surface > 0, (2 - off).clamp(0, 1), 0)
+    visible = share.sum(0)
+    score = visible * (inside / border).clamp(0, 1) * (1 + theta / angle) ** -4 * finer.clamp(max=1)
+    seen = front & (score > 0)
+    score = torch.where(seen, score, 0)
+
+    # The colour that each source shows: at the finest level from the visible surface, then from ever smaller
+    # copies, linear between the two levels that are next to `level`.
+    smallest = height.maximum(width).double().log2().ceil().long()
+    level = (finer.clamp(min=1).log2() - _SHARPNESS).clamp(min=0).minimum(smallest)
+    shown = depth.new_zeros(*point.shape)
+    for k in range(int(smallest.max()) + 1 if len(photos) else 0):
+        at, weight = _corners(u / 2**k, v / 2**k, width, height, first_texel)
+        if k == 0:
+            weight = share / torch.where(seen, visible, 1)
+        of_level = torch.where(k <= smallest, (1 - (level - k).abs()).clamp(min=0), 0)
+        rows = torch.where(k <= smallest, at, 0)
+        shown = shown + of_level[..., None] * (weight[..., None] * texels[rows]).sum(0)
+        first_texel = first_texel + width * height
+        width, height = (width + 1) // 2, (height + 1) // 2
+    shown = torch.where(seen[..., None], shown, 0)
+
+    # The best, from the best score down; equal ones by index. Each counts what it exceeds the next one by.
+    spare = depth.new_zeros(keep + 1, *depth.shape)
+    score, sources = torch.cat([score, spare]).sort(dim=0, descending=True, stable=True)
+    score, sources = score[: keep + 1], torch.where(score > 0, sources, -1)[: keep + 1]
+    shown = torch.cat([shown, spare[..., None].expand(-1, -1, -1, 3)])
+    shown = shown.gather(0, sources[:keep, ..., None].clamp(min=0).expand(-1, -1, -1, 3))
+    shown = torch.where(sources[:keep, ..., None] >= 0, shown, 0).permute(0, 3, 1, 2)  # [keep, 3, H, W]
+    weights = (score[:keep] - (1 - _LEAST_SHARE) * score[keep]).clamp(min=0)
+    total = weights.sum(0)
+    weights = weights / torch.where(total > 0, total, 1)
+    colour = (weights[:, None] * shown).sum(0)
+    variance = (weights * ((shown - colour) ** 2).mean(1)).sum(0)
+    return Blend(
+        colour,
+        score[0],
+        variance,
+        sources.permute(1, 2, 0).int(),
+        weights.detach(),
+        shown[: keep if each else 0].detach(),
+    )
