@@ -27,7 +27,7 @@ class FakeRenderer:
     error: float = 0.1
     rendered: list[int] = field(default_factory=list)
 
-    def render(self, camera: Camera) -> torch.Tensor:
+    def render(self, camera: Camera, without: str | None = None) -> torch.Tensor:
         self.rendered.append(id(camera))
         return (self.photos[id(camera)] + self.error).clamp(0, 1)
 
@@ -70,11 +70,13 @@ def make_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., S
         folder.mkdir()
         run = SimpleNamespace(
             folder=folder,
+            source=made.folder,
             scene=made,
             renderer=FakeRenderer(photos, error),
             config=SimpleNamespace(preset="mesh"),
         )
         monkeypatch.setattr("nmbg.evaluation.evaluate.load_run", lambda folder, device: run)
+        monkeypatch.setattr(Scene, "load", lambda folder: made)
         return run
 
     return make

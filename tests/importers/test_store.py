@@ -11,7 +11,7 @@ from nmbg.cameras import Camera
 from nmbg.errors import NmbgError
 from nmbg.images import read_image, read_mask, write_image
 from nmbg.importers import Photo
-from nmbg.importers.store import find_masks, store_photograph, within
+from nmbg.importers.store import find_masks, store_photograph
 
 IMAGE = np.random.default_rng(0).integers(0, 256, (48, 64, 3)).astype(np.uint8)
 
@@ -30,11 +30,11 @@ def photo(tmp_path: Path) -> Photo:
 @given(width=st.integers(1, 5000), height=st.integers(1, 5000), most=st.integers(1, 2000))
 def test_the_longer_side_is_limited_and_the_camera_follows(width: int, height: int, most: int) -> None:
     full = camera(width, height)
-    small = within(full, most)
+    small = full.within(most)
     assert max(small.width, small.height) == min(most, max(width, height))
     expected = np.diag([small.width / width, small.height / height, 1]) @ full.K
     assert np.allclose(small.K, expected, rtol=1e-14)
-    assert within(full, None) is full
+    assert full.within(max(width, height)) is full
 
 
 def test_photographs_that_need_no_change_are_copied(photo: Photo, tmp_path: Path) -> None:

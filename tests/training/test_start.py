@@ -8,7 +8,7 @@ from nmbg.model.descriptors import SH_CONSTANT
 from nmbg.model.renderer import Renderer
 from nmbg.scene import Scene
 from nmbg.training.config import PRESETS
-from nmbg.training.start import fitted_colours, mean_colours
+from nmbg.training.start import ColourFit, mean_colours
 from nmbg.training.views import Views
 
 
@@ -23,17 +23,17 @@ def test_mean_colours_show_the_vertex_colours(scene_folder: Path) -> None:
 def test_fit_is_nearer_to_the_photographs_than_the_mean(scene_folder: Path) -> None:
     scene = Scene.load(scene_folder)
     renderer = Renderer(PRESETS["mesh"].model, [scene.mesh])
-    views = Views(scene, scene.train, renderer.rasterize, 1.0)
+    views = Views(scene, scene.train, lambda camera, _: renderer.rasterize(camera), 1.0)
 
     def error() -> float:
         frames = [views.frame(i) for i in range(len(views))]
         return sum(
-            float((renderer(f.fragments, f.camera) - f.image / 255).square().mean().detach()) for f in frames
+            float((renderer(f.sight, f.camera) - f.image / 255).square().mean().detach()) for f in frames
         )
 
     renderer.set_colours(mean_colours(renderer.layers))
     mean = error()
-    renderer.set_colours(fitted_colours(renderer.layers, scene, scene.train, 9))
+    renderer.set_colours(ColourFit(renderer.layers, scene, scene.train, 9).coefficients())
     assert error() < 0.97 * mean
 
 
@@ -51,7 +51,7 @@ def test_fit_recovers_harmonics(scene_folder: Path, monkeypatch: pytest.MonkeyPa
         return (truth.render(view.camera) * 255).round().to(torch.uint8).permute(1, 2, 0).numpy()  # type: ignore[attr-defined]
 
     monkeypatch.setattr(Scene, "load_image", rendered)
-    (fitted,) = fitted_colours([scene.mesh], scene, scene.train, 4, ridge=(1e-5, 1e-5))
+    (fitted,) = ColourFit([scene.mesh], scene, scene.train, 4, ridge=(1e-5, 1e-5)).coefficients()
     fit = Renderer(model, [scene.mesh])
     fit.set_colours([fitted])
     for view in scene.train:
@@ -63,6 +63,23 @@ def test_fit_recovers_harmonics(scene_folder: Path, monkeypatch: pytest.MonkeyPa
 
 def test_unseen_vertices_keep_their_mean(scene_folder: Path) -> None:
     scene = Scene.load(scene_folder)
-    (fitted,), (mean,) = fitted_colours([scene.mesh], scene, [], 9), mean_colours([scene.mesh])
+    (fitted,), (mean,) = ColourFit([scene.mesh], scene, [], 9).coefficients(), mean_colours([scene.mesh])
     torch.testing.assert_close(fitted[:, :1], mean)
     assert torch.equal(fitted[:, 1:], torch.zeros_like(fitted[:, 1:]))
+
+
+def test_a_view_taken_out_was_never_there(scene_folder: Path) -> None:
+    """Taking out one view's sums gives the fit of the others, but for vertices that it alone sees."""
+    scene = Scene.load(scene_folder)
+    out, *others = scene.train
+    fit = ColourFit([scene.mesh], scene, scene.train, 4)
+    ((vertices, coeffs),) = fit.without(out)
+    rest = ColourFit([scene.mesh], scene, others, 4)
+    (expected,) = rest.coefficients()
+    weight = rest._sums[0][vertices, 0, 0]
+    shared, alone = weight > 0.02, weight == 0
+    assert shared.any()
+    assert alone.any()
+    torch.testing.assert_close(coeffs[shared], expected[vertices[shared]], atol=2e-2, rtol=2e-2)
+    assert torch.equal(coeffs[alone], coeffs[alone][:1].expand_as(coeffs[alone]))
+    assert not torch.allclose(coeffs, fit.coefficients()[0][vertices], atol=1e-3)

@@ -14,7 +14,7 @@ from nmbg.training.views import Views
 def views(scene_folder: Path) -> Views:
     scene = Scene.load(scene_folder)
     renderer = Renderer(PRESETS["mesh"].model, [scene.mesh])
-    return Views(scene, scene.train, renderer.rasterize, 0.0)
+    return Views(scene, scene.train, lambda camera, _: renderer.rasterize(camera), 0.0)
 
 
 def test_whole_window_is_the_frame(views: Views) -> None:

@@ -16,7 +16,7 @@ from nmbg.scene import Scene, View
 
 # Ridge relative to a vertex's weight: degree 0; degrees ≥ 1, which stay small where few directions were seen.
 RIDGE = (1e-4, 0.02)
-# A vertex counts as seen by others when they hold this share of its weight.
+# Others see a vertex when they give it this share of the weight that the view left out gives.
 LEAST_SHARE = 1e-3
 
 
@@ -49,7 +49,6 @@ class ColourFit:
         ridge: tuple[float, float] = RIDGE,
     ) -> None:
         self.layers, self.scene, self.bases, self.ridge = layers, scene, bases, ridge
-        self._means = mean_colours(layers)
         self._sums = [torch.zeros(len(mesh.vertices), bases, bases + 3) for mesh in layers]
         with progress_bar() as bar:
             for view in bar.track(views, description="fitting colours"):
@@ -58,27 +57,27 @@ class ColourFit:
                     total.index_add_(0, vertices, sums)
 
     def coefficients(self) -> list[Tensor]:
-        """Per layer, [N, bases, 3] float32; a vertex that no view sees keeps its mean colour."""
-        return [_solve(sums, mean, self.ridge) for sums, mean in zip(self._sums, self._means, strict=True)]
+        """Per layer, [N, bases, 3] float32; a vertex that no view sees keeps the mesh's colour."""
+        return [
+            _solve(sums, own, self.ridge)
+            for sums, own in zip(self._sums, mean_colours(self.layers), strict=True)
+        ]
 
     def without(self, view: View) -> list[tuple[Tensor, Tensor]]:
         """What the fit would be without one of its views, where that view sees anything.
 
         Returns:
-            per layer, vertices [V] int64 and their coefficients [V, bases, 3] float32. The mean colour too is
-            that of the other views; a vertex that only this view sees takes the mean of all vertices.
+            per layer, vertices [V] int64 and their coefficients [V, bases, 3] float32. A vertex that only this
+            view sees takes the mean of all: its own colour would tell what the view shows.
         """
         left = []
-        for sums, mesh, mean in zip(self._sums, self.layers, self._means, strict=True):
-            vertices, own = self._observe(mesh, view)
-            others = sums[vertices] - own
-            weight = others[:, :1, :1] / SH_CONSTANT**2
-            seen = weight > LEAST_SHARE * sums[vertices, :1, :1] / SH_CONSTANT**2
-            their_mean = others[:, :1, self.bases :] / SH_CONSTANT / weight.clamp(min=1e-6)
-            mean_of_all = mean.mean(0, keepdim=True).expand(len(vertices), 1, 3)
-            others = torch.where(seen, others, 0)
-            their_mean = torch.where(seen, their_mean / SH_CONSTANT, mean_of_all)
-            left.append((vertices, _solve(others, their_mean, self.ridge)))
+        for sums, mesh, own in zip(self._sums, self.layers, mean_colours(self.layers), strict=True):
+            vertices, share = self._observe(mesh, view)
+            # What rounding leaves of a weight that only this view gave is no observation.
+            others = sums[vertices] - share
+            others[others[:, 0, 0] < LEAST_SHARE * share[:, 0, 0]] = 0
+            mean = own.mean(0, keepdim=True).expand(len(vertices), 1, 3)
+            left.append((vertices, _solve(others, mean, self.ridge)))
         return left
 
     def _observe(self, mesh: Mesh, view: View) -> tuple[Tensor, Tensor]:
@@ -102,14 +101,14 @@ class ColourFit:
         return vertices.long(), sums
 
 
-def _solve(sums: Tensor, mean: Tensor, ridge: tuple[float, float]) -> Tensor:
-    """Solve per vertex for the deviation from its mean colour, which is also what an unseen vertex keeps."""
+def _solve(sums: Tensor, otherwise: Tensor, ridge: tuple[float, float]) -> Tensor:
+    """Solve per vertex for the deviation from its mean colour; one without observations shows `otherwise`."""
     bases = sums.shape[1]
-    normal, rhs = sums[..., :bases].double(), sums[..., bases:].double()
-    mean = mean.double()
-    weight = normal[:, 0, 0] / SH_CONSTANT**2
-    diagonal = torch.tensor([ridge[0]] + [ridge[1]] * (bases - 1), dtype=torch.float64)
-    regular = normal + torch.diag_embed(diagonal * (weight[:, None] + 1e-6))
-    fitted: Tensor = torch.linalg.solve(regular, rhs - normal[..., :1] @ mean)
+    normal, rhs = sums[..., :bases], sums[..., bases:]
+    weight = normal[:, :1, :1] / SH_CONSTANT**2
+    mean = torch.where(weight > 0, rhs[:, :1] / SH_CONSTANT**2 / weight.clamp(min=1e-12), otherwise)
+    diagonal = torch.diag(torch.tensor([ridge[0]] + [ridge[1]] * (bases - 1)))
+    regular = normal + diagonal * (weight + 1e-6)
+    fitted: Tensor = torch.cholesky_solve(rhs - normal[..., :1] @ mean, torch.linalg.cholesky(regular))
     fitted[:, :1] += mean
-    return fitted.float()
+    return fitted
