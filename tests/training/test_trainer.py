@@ -15,9 +15,7 @@ from nmbg.training.trainer import resume, train
 
 # No weights are at hand in a test: L_rec is left out, everything else is as in the presets.
 SMALL = {
-    name: replace(
-        config, perceptual="none", minutes=None, epochs=None, iterations=6 if config.stages else 0
-    )
+    name: replace(config, perceptual="none", minutes=None, epochs=None, iterations=6 if config.stages else 0)
     for name, config in PRESETS.items()
 }
 SMALL["paper"] = replace(SMALL["paper"], stages=(replace(PRESETS["paper"].stages[0], l1=1.0),))

@@ -23,7 +23,7 @@ from nmbg.scene import Scene, View
 # A view is blended from this many photographs at most: more change nothing that one sees.
 CANDIDATES = 14
 # Score of the best source at which residuals count half: below it the mesh is trusted more.
-HALF_TRUST = 1e-3
+HALF_TRUST = 1e-4
 GIB = 2**30
 
 

@@ -21,6 +21,8 @@ from nmbg.scene import Scene, View
 
 # What a renderer turns into an image: fragments to be shaded, or what mesh and photographs show already.
 Sight = list[LayerFragments] | Gathered
+# Per layer, vertices [V] int64 and their coefficients [V, B, 3], colours in [0, 1].
+Recolouring = Sequence[tuple[Tensor, Tensor]]
 
 
 class Renderer(nn.Module):
@@ -65,11 +67,33 @@ class Renderer(nn.Module):
         for descriptors, layer in zip(self._descriptors, coeffs, strict=True):
             descriptors.set_colours(_centred(layer))
 
+    def remember(self, scene: Scene, views: Sequence[View]) -> None:
+        """Blend these photographs of the scene over the mesh from now on."""
+        self.photographs = Photographs(scene, views, self._colour_on_mesh, self.config.sources)
+
+    def see(
+        self, camera: Camera, without: str | None = None, other_colours: Recolouring | None = None
+    ) -> Sight:
+        """What forward() needs of a view.
+
+        Args:
+            camera: the view.
+            without: name of a photograph that must not be blended in.
+            other_colours: colours on the mesh that hold for this view alone; with photographs only.
+        """
+        if self.photographs is None:
+            return self.rasterize(camera)
+        padded = camera.padded(2 ** (self.config.levels - 1))
+        # Photographs are prepared outside: their residuals must not depend on which view needed them first.
+        with self._recoloured(other_colours or []):
+            base = self._colour_on_mesh(padded)
+        return self.photographs.gather(padded, base, without)
+
     @contextmanager
-    def recoloured(self, parts: Sequence[tuple[Tensor, Tensor]]) -> Iterator[None]:
-        """Give vertices other colours for a while: per layer, vertices [V] and coefficients [V, B, 3]."""
-        tables = [d.coeffs.data for d in self._descriptors]
-        kept = [table[vertices].clone() for table, (vertices, _) in zip(tables, parts, strict=True)]
+    def _recoloured(self, parts: Recolouring) -> Iterator[None]:
+        """Give vertices other colours for a while."""
+        tables = [d.coeffs.data for d, _ in zip(self._descriptors, parts, strict=False)]
+        kept = [table[vertices] for table, (vertices, _) in zip(tables, parts, strict=True)]
         try:
             for table, (vertices, coeffs) in zip(tables, parts, strict=True):
                 table[vertices] = _centred(coeffs).reshape(len(vertices), -1).to(table)
@@ -77,17 +101,6 @@ class Renderer(nn.Module):
         finally:
             for table, (vertices, _), rows in zip(tables, parts, kept, strict=True):
                 table[vertices] = rows
-
-    def remember(self, scene: Scene, views: Sequence[View]) -> None:
-        """Blend these photographs of the scene over the mesh from now on."""
-        self.photographs = Photographs(scene, views, self._colour_on_mesh, self.config.sources)
-
-    def see(self, camera: Camera, without: str | None = None) -> Sight:
-        """What forward() needs of a view; `without` names a photograph that must not be used."""
-        if self.photographs is None:
-            return self.rasterize(camera)
-        padded = camera.padded(2 ** (self.config.levels - 1))
-        return self.photographs.gather(padded, self._colour_on_mesh(padded), without)
 
     @torch.no_grad()
     def _colour_on_mesh(self, camera: Camera) -> Tensor:

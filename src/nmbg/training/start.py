@@ -67,8 +67,8 @@ class ColourFit:
         """What the fit would be without one of its views, where that view sees anything.
 
         Returns:
-            per layer, vertices [V] int64 and their coefficients [V, bases, 3] float32. A vertex that only this
-            view sees takes the mean of all: its own colour would tell what the view shows.
+            per layer, vertices [V] int64 and their coefficients [V, bases, 3] float32. A vertex that this
+            view alone sees takes the mean of all: its own colour would tell what the view shows.
         """
         left = []
         for sums, mesh, own in zip(self._sums, self.layers, mean_colours(self.layers), strict=True):

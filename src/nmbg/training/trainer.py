@@ -195,8 +195,7 @@ def _views(
 
     def left_out(camera: Camera, view: View) -> Sight:
         assert fit is not None  # ModelConfig and the presets: photographs stand on a fitted mesh
-        with renderer.recoloured(fit.without(view)):
-            return renderer.see(camera, without=view.name)
+        return renderer.see(camera, without=view.name, other_colours=fit.without(view))
 
     see = left_out if _leaves_out(config) else rasterized
     training, aside = _split(scene, config)

@@ -1,0 +1,132 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from nmbg.cameras import Camera
+from nmbg.model.photographs import Photographs, count_features
+from nmbg.model.renderer import Renderer
+from nmbg.scene import Scene
+from nmbg.training.config import PRESETS
+from nmbg.training.start import mean_colours
+
+
+@pytest.fixture
+def scene(scene_folder: Path) -> Scene:
+    return Scene.load(scene_folder)
+
+
+def grey(camera: Camera) -> torch.Tensor:
+    return torch.full((3, camera.height, camera.width), 0.5)
+
+
+def test_photographs_mend_a_grey_mesh(scene: Scene) -> None:
+    """The second training view, itself left out, over a mesh of one grey."""
+    view = scene.train[1]
+    gathered = Photographs(scene, scene.train, grey, sources=3).gather(
+        view.camera, grey(view.camera), view.name
+    )
+    photo = torch.from_numpy(scene.load_image(view)).permute(2, 0, 1) / 255
+    seen = gathered.trust > 0.5
+    assert seen.sum() > 1000
+    error = (gathered.blended() - photo).abs().mean(0)[seen].median()
+    assert error < 0.5 * (grey(view.camera) - photo).abs().mean(0)[seen].median()
+
+
+def test_a_photograph_that_is_not_left_out_shows_itself(scene: Scene) -> None:
+    view = scene.train[1]
+    photographs = Photographs(scene, scene.train, grey, sources=1)
+    gathered = photographs.gather(view.camera, grey(view.camera))
+    photo = torch.from_numpy(scene.load_image(view)).permute(2, 0, 1) / 255
+    sure = gathered.score > 0.9
+    assert sure.float().mean() > 0.3
+    # Residuals are kept in 8 bits over a range of 2, images in float16.
+    assert (gathered.blended() - photo).abs()[:, sure].max() < 0.01
+
+
+def test_left_out_means_unused(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Painting the photograph that is left out black changes nothing; painting another one does."""
+    view, other = scene.train[1], scene.train[2]
+    load_image = Scene.load_image
+
+    def gathered(black: str) -> torch.Tensor:
+        def painted(self: Scene, asked: object) -> object:
+            image = load_image(self, asked)  # type: ignore[arg-type]
+            return np.zeros_like(image) if asked.name == black else image  # type: ignore[attr-defined]
+
+        monkeypatch.setattr(Scene, "load_image", painted)
+        photographs = Photographs(scene, scene.train, grey, sources=3)
+        return photographs.gather(view.camera, grey(view.camera), view.name).blended()
+
+    assert torch.equal(gathered(""), gathered(view.name))
+    assert not torch.equal(gathered(""), gathered(other.name))
+
+
+def test_where_no_photograph_looks_the_mesh_shows(scene: Scene) -> None:
+    view = scene.train[0]
+    camera = replace(view.camera, R=-view.camera.R, t=-view.camera.t)  # the other way: into the empty sky
+    camera = replace(
+        camera, R=np.diag([1.0, -1, -1]) @ view.camera.R, t=np.diag([1.0, -1, -1]) @ view.camera.t
+    )
+    photographs = Photographs(scene, scene.train, grey, sources=3)
+    base = torch.rand(3, camera.height, camera.width)
+    gathered = photographs.gather(camera, base)
+    unseen = gathered.trust == 0
+    assert torch.equal(gathered.blended()[:, unseen], base.half().float()[:, unseen])
+    assert gathered.blended().isfinite().all()
+
+
+def test_one_photograph_left_out_of_one_leaves_the_mesh(scene: Scene) -> None:
+    view = scene.train[0]
+    photographs = Photographs(scene, scene.train[:1], grey, sources=2)
+    gathered = photographs.gather(view.camera, grey(view.camera), view.name)
+    assert torch.equal(gathered.blended(), grey(view.camera))
+    assert gathered.features().shape == (count_features(2), view.camera.height, view.camera.width)
+
+
+def test_a_small_cache_gives_the_same_picture(scene: Scene) -> None:
+    camera = scene.test[0].camera
+    pictures = []
+    for cache in (4.0, 1e-9):
+        photographs = Photographs(scene, scene.train, grey, 3, cache_gib=cache)
+        photographs.gather(scene.train[3].camera, grey(scene.train[3].camera))
+        pictures.append(photographs.gather(camera, grey(camera)).blended())
+    assert torch.equal(*pictures)
+
+
+def test_masked_pixels_are_never_shown(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With everything masked out, photographs show nothing."""
+    monkeypatch.setattr(
+        Scene, "load_mask", lambda self, view: np.zeros((view.camera.height, view.camera.width), bool)
+    )
+    camera = scene.test[0].camera
+    photographs = Photographs(scene, scene.train, grey, 3)
+    assert torch.equal(photographs.gather(camera, grey(camera)).blended(), grey(camera))
+
+
+def test_the_network_starts_as_the_plain_blend(scene: Scene) -> None:
+    renderer = Renderer(PRESETS["nmbg"].model, [scene.mesh])
+    renderer.set_colours(mean_colours([scene.mesh]))
+    renderer.remember(scene, scene.train)
+    camera = scene.test[0].camera
+    sight = renderer.see(camera)
+    plain = sight.blended()[:, : camera.height, : camera.width]  # type: ignore[union-attr]
+    torch.testing.assert_close(renderer(sight, camera), plain, atol=2e-3, rtol=0)
+
+
+def test_a_network_cannot_show_what_no_photograph_shows(scene: Scene) -> None:
+    """Re-weighting alone leaves a pixel between its sources."""
+    renderer = Renderer(PRESETS["nmbg"].model, [scene.mesh])
+    renderer.remember(scene, scene.train)
+    assert renderer.network is not None
+    torch.nn.init.normal_(renderer.network.out.weight[3:], std=5.0)
+    camera = scene.test[0].camera
+    sight = renderer.see(camera)
+    residual = renderer._fuse(sight) - sight.base.float()  # type: ignore[arg-type, union-attr]
+    used = (sight.weights > 0)[:, None]  # type: ignore[union-attr]
+    shown = sight.shown.float()  # type: ignore[union-attr]
+    high = torch.where(used, shown, -torch.inf).amax(0).clamp(min=0)
+    low = torch.where(used, shown, torch.inf).amin(0).clamp(max=0)
+    assert ((residual <= high + 1e-3) & (residual >= low - 1e-3)).all()
