@@ -20,6 +20,24 @@ from nmbg.errors import NmbgError
 from nmbg.training.config import PRESETS
 
 
+class PhotoCount(click.ParamType[int | str]):
+    """A positive number, auto or all."""
+
+    name = "N|auto|all"
+
+    def convert(
+        self, value: str | int, param: click.Parameter | None, ctx: click.Context | None
+    ) -> str | int:
+        """The number, or the word."""
+        if value in ("auto", "all"):
+            return value
+        if not str(value).isdigit():
+            self.fail(f"{value!r} is no number, nor auto or all", param, ctx)
+        if int(value) == 0:
+            raise NmbgError("--photos 0: nothing would be left to blend; use --preset mesh")
+        return int(value)
+
+
 @click.command(epilog="\b\nExample:\n  nmbg train out/room --output out/room-run --minutes 15 --weights DIR")
 @click.argument("scene", type=FOLDER, required=False)
 @click.option("--output", type=NEW_FOLDER, required=True, help="Run folder to write.")
@@ -39,6 +57,11 @@ from nmbg.training.config import PRESETS
 )
 @click.option(
     "--validation-views", type=click.IntRange(min=0), help="Training views kept aside for progress figures."
+)
+@click.option(
+    "--photos",
+    type=PhotoCount(),
+    help="Photographs to keep: a number, auto (what the scene needs) or all.  [default: all]",
 )
 @click.option("--seed", type=int, default=0, show_default=True)
 @device_option
@@ -78,6 +101,8 @@ def command(
     if given.keys() & {"minutes", "iterations", "epochs"}:
         given = {"minutes": None, "iterations": None, "epochs": None, **given}
     given.setdefault("bf16", _has_bf16(device))
+    if "photos" in given and not PRESETS[preset].model.sources:
+        raise NmbgError(f"--photos: preset {preset} blends no photographs; leave it out")
     try:
         config = replace(PRESETS[preset], device=device, **given)  # type: ignore[arg-type]
     except ValueError as error:

@@ -67,6 +67,16 @@ class SourceCover:
         angle = torch.acos(cosine.clamp(-1, 1))
         return torch.where(seen, (1 + angle / ANGLE) ** -4, 0.0)
 
+    @staticmethod
+    def points(camera: Camera, depth: Tensor) -> Tensor:
+        """Surface points on a grid over a view, [P, 3] float64, where its depth [H, W] is not 0."""
+        rows = torch.linspace(0.5, camera.height - 0.5, GRID).long()
+        columns = torch.linspace(0.5, camera.width - 0.5, GRID).long()
+        z = depth[rows[:, None], columns].double()
+        rays = camera.rays(torch.float64)[rows[:, None], columns]
+        distance = z / (rays @ torch.from_numpy(camera.axis))
+        return torch.from_numpy(camera.centre) + (rays * distance[..., None])[z > 0]
+
     def choose(
         self, camera: Camera, depth: Tensor, most: int, per_point: int, left_out: Sequence[int] = ()
     ) -> list[int]:
@@ -82,26 +92,31 @@ class SourceCover:
         Returns:
             indices, ascending.
         """
-        rows = torch.linspace(0.5, camera.height - 0.5, GRID).long()
-        columns = torch.linspace(0.5, camera.width - 0.5, GRID).long()
-        z = depth[rows[:, None], columns].double()
-        rays = camera.rays(torch.float64)[rows[:, None], columns]
-        distance = z / (rays @ torch.from_numpy(camera.axis))
-        points = torch.from_numpy(camera.centre) + (rays * distance[..., None])[z > 0]
+        points = self.points(camera, depth)
         scores = self.scores(points, torch.from_numpy(camera.centre))
         scores[list(left_out)] = 0
         return greedy_cover(scores, most, per_point)
 
 
-def greedy_cover(scores: Tensor, most: int, per_point: int) -> list[int]:
-    """Rows of [N, P] that add most to the sum of each column's `per_point` best, ascending."""
+def greedy_cover(scores: Tensor, most: int, per_point: int, least: float = 0.0) -> list[int]:
+    """Rows that add most to the sum of each column's `per_point` best.
+
+    Args:
+        scores: [N, P], not negative.
+        most: rows to choose at most.
+        per_point: scores that count in a column.
+        least: stop when a row adds no more than this share of the sum so far.
+
+    Returns:
+        indices, ascending.
+    """
     best = scores.new_zeros(per_point, scores.shape[1])
     chosen: list[int] = []
     for _ in range(min(most, len(scores))):
         gain = (scores - best[-1]).clamp(min=0).sum(1)
         gain[chosen] = 0
         i = int(gain.argmax())
-        if not gain[i] > 0:
+        if not gain[i] > least * best.sum():
             break
         chosen.append(i)
         best = torch.cat([best, scores[i][None]]).sort(0, descending=True).values[:per_point]

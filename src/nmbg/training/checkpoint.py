@@ -73,14 +73,14 @@ def scene_layers(scene: Scene, config: ModelConfig) -> list[Mesh]:
 def build_renderer(scene: Scene, config: TrainConfig) -> Renderer:
     """A renderer with seeded weights and zero descriptors."""
     torch.manual_seed(config.seed)
-    return _renderer(scene, config).to(config.device)
+    return Renderer(config.model, scene_layers(scene, config.model)).to(config.device)
 
 
-def _renderer(scene: Scene, config: TrainConfig) -> Renderer:
-    renderer = Renderer(config.model, scene_layers(scene, config.model))
-    if config.model.sources:
-        renderer.remember(scene, scene.train)
-    return renderer
+def remember_photographs(run: Path, renderer: Renderer) -> None:
+    """Let a renderer blend the photographs that the run holds, when its model blends any."""
+    if renderer.config.sources:
+        scene = Scene.load(run / SCENE)
+        renderer.remember(scene, scene.views)
 
 
 def save_config(run: Path, scene: Scene, config: TrainConfig) -> None:
@@ -197,9 +197,10 @@ def load_run(run: Path, device: str = "cpu") -> Run:
     checkpoint = latest_checkpoint(run)
     if checkpoint is None:
         raise NmbgError(f"{run}: no checkpoint yet; continue it with nmbg train --resume")
-    renderer = _renderer(Scene.load(run / SCENE), config)
+    renderer = build_renderer(Scene.load(run / SCENE), replace(config, device=device))
     load_model(checkpoint, renderer)
-    return Run(run, folder, config, renderer.to(device).eval())
+    remember_photographs(run, renderer)
+    return Run(run, folder, config, renderer.eval())
 
 
 def _first_line(error: BaseException) -> str:

@@ -49,6 +49,7 @@ class TrainConfig:
         epochs: passes over the training views, or None.
         minutes: wall-clock budget, or None. Exactly one of the three is set.
         validation_views: training views kept aside for progress figures.
+        photos: training photographs kept in the run: how many at most, "auto" or "all".
         seed: seeds weights, the order of views and the random windows.
         device: "cpu" or "cuda".
         bf16: run the network and the loss in bfloat16.
@@ -66,6 +67,7 @@ class TrainConfig:
     epochs: int | None = None
     minutes: float | None = None
     validation_views: int = 2
+    photos: int | Literal["auto", "all"] = "all"
     seed: int = 0
     device: str = "cpu"
     bf16: bool = False
@@ -133,7 +135,7 @@ PRESETS: dict[str, TrainConfig] = {
         ),
         TrainConfig(
             "nmbg",
-            replace(_colour_mesh, supersample=2, sources=5, widths=(16, 48, 64, 96)),
+            replace(_colour_mesh, supersample=2, sources=5, widths=(8, 40, 56, 72), norm="none"),
             (
                 # The colour mesh keeps its closed form, which can be had without any one photograph.
                 Stage(0.35, network=True, descriptor_rate=0.0),

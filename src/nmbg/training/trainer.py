@@ -14,6 +14,7 @@ from torch import Tensor
 
 from nmbg.atomic import atomic_folder
 from nmbg.cameras import Camera
+from nmbg.capacity import choose_photographs
 from nmbg.errors import NmbgError
 from nmbg.losses import Perceptual, l1
 from nmbg.model.renderer import Renderer, Sight
@@ -53,17 +54,20 @@ def train(
     """
     clock = Clock()
     perceptual = _perceptual(config, weights)
+    sources = config.model.sources
     with atomic_folder(run, overwrite) as temporary:
         renderer = checkpoint.build_renderer(scene, config)
+        kept = choose_photographs(scene, config.photos, sources) if sources else ()
+        checkpoint.save_scene(temporary, scene, kept)
         fit = _fit_colours(scene, config, renderer)
-        training, validation = _views(scene, config, renderer, fit)
         if config.start == "mean":
             renderer.set_colours(mean_colours(renderer.layers))
         elif fit is not None:
             renderer.set_colours(fit.coefficients())
         checkpoint.save_config(temporary, scene, config)
-        checkpoint.save_scene(temporary, scene, scene.train if config.model.sources else ())
         checkpoint.save_checkpoint(temporary, renderer, Progress(seconds=clock.seconds))
+    checkpoint.remember_photographs(run, renderer)
+    training, validation = _views(scene, config, renderer, fit)
     _fit(config, run, renderer, perceptual, training, validation, Progress(), clock)
     return run
 
@@ -92,6 +96,7 @@ def resume(run: Path, weights: Path | None = None) -> Path:
     scene = Scene.load(folder)
     renderer = checkpoint.build_renderer(scene, config)
     checkpoint.load_model(found, renderer)
+    checkpoint.remember_photographs(run, renderer)
     fit = _fit_colours(scene, config, renderer) if _leaves_out(config) else None
     training, validation = _views(scene, config, renderer, fit)
     _fit(config, run, renderer, perceptual, training, validation, state, clock)
