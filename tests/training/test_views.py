@@ -24,6 +24,21 @@ def test_whole_window_is_the_frame(views: Views) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
+def test_crop_shows_the_part_of_the_frame_that_its_camera_says(scene_folder: Path, seed: int) -> None:
+    scene = Scene.load(scene_folder)
+    renderer = Renderer(PRESETS["nmbg"].model, [scene.mesh])
+    renderer.remember(scene, scene.train)
+    views = Views(scene, scene.train, lambda camera, view: renderer.see(camera, view.name), 1.0)
+    frame = views.frame(1)
+    crop = views.crop(1, 0.5, 8, torch.Generator().manual_seed(seed))
+    assert (crop.camera.width, crop.camera.height) == (32, 24)
+    x0, y0 = (round(c) for c in frame.camera.K[:2, 2] - crop.camera.K[:2, 2])
+    assert torch.equal(crop.image, frame.image[:, y0 : y0 + 24, x0 : x0 + 32])
+    assert torch.equal(crop.sight.base, frame.sight.base[:, y0 : y0 + 24, x0 : x0 + 32])
+    assert renderer(crop.sight, crop.camera).shape == crop.image.shape
+
+
+@pytest.mark.parametrize("seed", range(5))
 def test_window_moves_camera_and_photograph_alike(
     views: Views, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

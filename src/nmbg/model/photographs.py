@@ -50,6 +50,12 @@ class Gathered:
         """Memory held, bytes."""
         return sum(t.nbytes for t in (self.base, self.shown, self.weights, self.trust, self.score))
 
+    def cropped(self, x0: int, y0: int, width: int, height: int) -> Gathered:
+        """The window of width × height pixels whose corner stands at (x0, y0), a view of the same memory."""
+        rows, columns = slice(y0, y0 + height), slice(x0, x0 + width)
+        parts = (self.base, self.shown, self.weights, self.trust, self.score)
+        return Gathered(*(part[..., rows, columns] for part in parts))
+
     def blended(self) -> Tensor:
         """Mesh and photographs without a network, [3, H, W] float32."""
         residual = (self.shown.float() * self.weights.float()[:, None]).sum(0)

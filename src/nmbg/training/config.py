@@ -142,6 +142,7 @@ PRESETS: dict[str, TrainConfig] = {
                 Stage(0.65, network=True, perceptual=0.02, descriptor_rate=0.0, network_rate=5e-4),
             ),
             perceptual=VGG_TO_RELU3,
+            window=0.5,
             minutes=15,
         ),
     )

@@ -66,9 +66,10 @@ def train(
             renderer.set_colours(fit.coefficients())
         checkpoint.save_config(temporary, scene, config)
         checkpoint.save_checkpoint(temporary, renderer, Progress(seconds=clock.seconds))
-    checkpoint.remember_photographs(run, renderer)
-    training, validation = _views(scene, config, renderer, fit)
-    _fit(config, run, renderer, perceptual, training, validation, Progress(), clock)
+    if config.stages:
+        checkpoint.remember_photographs(run, renderer)
+        training, validation = _views(scene, config, renderer, fit)
+        _fit(config, run, renderer, perceptual, training, validation, Progress(), clock)
     return run
 
 
@@ -204,7 +205,8 @@ def _views(
 
     see = left_out if _leaves_out(config) else rasterized
     training, aside = _split(scene, config)
-    cache = 0.0 if config.zoom > 1 or config.window < 1 else config.cache_gib
+    whole = config.zoom == 1 and (config.window == 1 or _leaves_out(config))
+    cache = config.cache_gib if whole else 0.0
     return Views(scene, training, see, cache), Views(scene, aside, see, config.cache_gib)
 
 
@@ -216,6 +218,8 @@ def _draw(views: Views, config: TrainConfig, step: int) -> Example:
     if config.zoom == 1 and config.window == 1:
         return views.frame(i)
     generator.manual_seed(config.seed * 1_000_003 + step)
+    if config.zoom == 1 and _leaves_out(config):
+        return views.crop(i, config.window, 2 ** (config.model.levels - 1), generator)
     return views.window(i, config.window, config.zoom, generator)
 
 

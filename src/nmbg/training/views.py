@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from nmbg.cameras import Camera
+from nmbg.model.photographs import Gathered
 from nmbg.model.renderer import Sight
 from nmbg.scene import Scene, View
 
@@ -75,6 +76,34 @@ class Views:
             self._free -= example.nbytes
             self._cache[i] = example
         return example
+
+    def crop(self, i: int, share: float, multiple: int, generator: torch.Generator) -> Example:
+        """A random window of the whole frame of view i, at whole pixels; for what photographs show alone.
+
+        Args:
+            i: view.
+            share: the window's sides as a share of the image's.
+            multiple: divides the window's sides, where the image is that large.
+            generator: source of the random numbers.
+        """
+        frame = self.frame(i)
+        assert isinstance(frame.sight, Gathered)
+        width, height = (
+            min(side, max(1, round(share * side / multiple)) * multiple)
+            for side in (frame.camera.width, frame.camera.height)
+        )
+        x0 = int(torch.randint(frame.camera.width - width + 1, (), generator=generator))
+        y0 = int(torch.randint(frame.camera.height - height + 1, (), generator=generator))
+        rows, columns = slice(y0, y0 + height), slice(x0, x0 + width)
+        # The sight reaches beyond the image where a side is no multiple.
+        padded = [-(-side // multiple) * multiple for side in (width, height)]
+        return Example(
+            frame.name,
+            frame.camera.cropped(x0, y0, width, height),
+            frame.sight.cropped(x0, y0, *padded),
+            frame.image[:, rows, columns],
+            None if frame.mask is None else frame.mask[rows, columns],
+        )
 
     def window(self, i: int, share: float, zoom: float, generator: torch.Generator) -> Example:
         """A random window of view i, zoomed by a random factor in [1, zoom], resampled bilinearly.
