@@ -50,7 +50,6 @@ def command(out: Path, minutes: float, views: int, seed: int, weights: Path | No
     if not overwrite:
         refuse_existing(out, overwrite)
     lpips = next((net for net, backbone in LPIPS_NETS.items() if installed_weights(backbone, weights)), None)
-    perceptual = installed_weights("vgg19", weights) is not None
     folder = ["--weights", str(weights)] if weights else []
     again = ["--overwrite"] if overwrite else []
 
@@ -62,8 +61,6 @@ def command(out: Path, minutes: float, views: int, seed: int, weights: Path | No
         if preset != "colours":
             share = MESH_SHARE if preset == "mesh" else 1 - MESH_SHARE
             options += ["--minutes", f"{share * minutes:.4g}"]
-        if preset == "nmbg":
-            options += folder if perceptual else ["--perceptual", "none"]
         _run("train", str(out / "scene"), "--output", run, *options)
         metrics = ["--metrics", "psnr", "ssim", *(["lpips", "--lpips-net", lpips, *folder] if lpips else [])]
         _run("eval", run, *metrics)
@@ -75,8 +72,6 @@ def command(out: Path, minutes: float, views: int, seed: int, weights: Path | No
         click.echo(
             "lpips is left out: its pretrained network was not found (nmbg info tells where it is looked for)"
         )
-    if not perceptual:
-        click.echo("trained without the perceptual loss: no pretrained vgg19 was found")
     click.echo(f"held-out views beside the truth: {out / 'sheet.png'}")
 
 

@@ -101,6 +101,8 @@ def command(
     if given.keys() & {"minutes", "iterations", "epochs"}:
         given = {"minutes": None, "iterations": None, "epochs": None, **given}
     given.setdefault("bf16", _has_bf16(device))
+    if given.get("perceptual", "none") != "none" and not any(s.perceptual for s in PRESETS[preset].stages):
+        raise NmbgError(f"--perceptual: preset {preset} trains without L_rec; leave it out")
     if "photos" in given and not PRESETS[preset].model.sources:
         raise NmbgError(f"--photos: preset {preset} blends no photographs; leave it out")
     try:

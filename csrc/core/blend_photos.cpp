@@ -11,7 +11,7 @@
 
 // One binary for all x86-64: the loader picks the widest vectors that the processor has.
 #if defined(__x86_64__) && defined(__gnu_linux__) && defined(__GNUC__) && !defined(__clang__)
-#define NMBG_WIDEST __attribute__((target_clones("default", "arch=haswell", "arch=skylake-avx512")))
+#define NMBG_WIDEST __attribute__((target_clones("default", "avx2", "avx512f")))
 #else
 #define NMBG_WIDEST
 #endif
@@ -135,10 +135,10 @@ NMBG_INLINE S visibility(const Photo<T, Texel>& photo, const BlendRule<T>& rule,
 // weights sum to one. At the finest level only texels of the visible surface count: what lies beyond an edge
 // does not bleed.
 template <class S, class T, class Texel, class Visit>
-void visit_texels(const Photo<T, Texel>& photo, const BlendRule<T>& rule, const Sight<S>& sight,
-                  const Visit& visit) {
+NMBG_INLINE void visit_texels(const Photo<T, Texel>& photo, const BlendRule<T>& rule, const Sight<S>& sight,
+                              const Visit& visit) {
     int32_t width = photo.width, height = photo.height;
-    const S level = log2(sight.finer) - S(T(sharpness));
+    const S level = sight.finer > S(1) ? log2(sight.finer) - S(T(sharpness)) : S(0);
     const bool coarser = width > 1 || height > 1;  // are there levels but the finest?
     const S fine_share = coarser && level > S(0) ? within_unit(S(1) - level) : S(1);
     if (fine_share > S(0)) {
@@ -149,8 +149,10 @@ void visit_texels(const Photo<T, Texel>& photo, const BlendRule<T>& rule, const 
             weight[n] = four.weight(n) * visible(sight.z, photo.depth[four.offset(n)], rule.tolerance);
             sum += weight[n];
         }
-        if (sum > S(0))
-            for (int n = 0; n < 4; ++n) visit(four.offset(n), fine_share * weight[n] / sum);
+        if (sum > S(0)) {
+            const S scale = fine_share / sum;
+            for (int n = 0; n < 4; ++n) visit(four.offset(n), scale * weight[n]);
+        }
     }
     int64_t first = 0;
     T scale = 1;
@@ -168,11 +170,11 @@ void visit_texels(const Photo<T, Texel>& photo, const BlendRule<T>& rule, const 
 }
 
 template <class T>
-T unit(uint8_t byte) {
+NMBG_INLINE T unit(uint8_t byte) {
     return T(byte) * T(1.0 / 255);
 }
 template <class T>
-T unit(T value) {
+NMBG_INLINE T unit(T value) {
     return value;
 }
 
@@ -184,16 +186,23 @@ struct Shown {
 };
 
 template <class S, class T, class Texel>
+NMBG_INLINE std::array<S, 3> colour_at(const Photo<T, Texel>& photo, const BlendRule<T>& rule,
+                                       const Sight<S>& sight) {
+    std::array<S, 3> colour{S(0), S(0), S(0)};
+    visit_texels(photo, rule, sight, [&](int64_t texel, const S& weight) {
+        for (int c = 0; c < 3; ++c) colour[c] += weight * S(unit<T>(photo.texels[3 * texel + c]));
+    });
+    return colour;
+}
+
+template <class S, class T, class Texel>
 Shown<S> show(const Photo<T, Texel>& photo, const BlendRule<T>& rule, T focal, const S& z, const S* g,
               const S* q) {
     const Sight<S> sight = look(photo, rule, focal, z, g[0], g[1], g[2], q[0], q[1], q[2]);
     Shown<S> shown{S(0), {S(0), S(0), S(0)}};
     if (!(sight.score > S(0))) return shown;
     shown.score = sight.score * visibility(photo, rule, sight);
-    if (!(shown.score > S(0))) return shown;
-    visit_texels(photo, rule, sight, [&](int64_t texel, const S& weight) {
-        for (int c = 0; c < 3; ++c) shown.colour[c] += weight * S(unit<T>(photo.texels[3 * texel + c]));
-    });
+    if (shown.score > S(0)) shown.colour = colour_at(photo, rule, sight);
     return shown;
 }
 
@@ -226,18 +235,19 @@ struct Point {
 // What a pixel's sources give: their weights, and the sums over them.
 template <class T>
 struct Mixture {
-    std::array<Shown<T>, most_sources + 1> shown{};
-    std::array<T, most_sources> weight{}, deviation{};  // normalised weight; squared distance from the mean
-    std::array<T, 3> colour{};
-    T total = 0, variance = 0;
-    int count = 0;  // sources with a weight
+    const Shown<T>* shown;                            // [chosen], the best first
+    T weight[most_sources], deviation[most_sources];  // normalised weight; squared distance from the mean
+    T colour[3] = {}, total = 0, variance = 0;
+    int count;  // sources with a weight
 
-    Mixture(const std::array<Shown<T>, most_sources + 1>& all, int chosen, int keep) : shown(all) {
-        count = std::min(chosen, keep);
+    NMBG_INLINE Mixture(const Shown<T>* all, int chosen, int keep)
+        : shown(all), count(std::min(chosen, keep)) {
         const T bar = chosen > keep ? T(1 - least_share) * shown[keep].score : T(0);
-        for (int i = 0; i < count; ++i) total += weight[i] = std::max(T(0), shown[i].score - bar);
+        for (int i = 0; i < count; ++i) {
+            weight[i] = std::max(T(0), shown[i].score - bar);
+            total += weight[i];
+        }
         if (!(total > 0)) {
-            weight = {};
             count = 0;
             return;
         }
@@ -246,6 +256,7 @@ struct Mixture {
             for (int c = 0; c < 3; ++c) colour[c] += weight[i] * shown[i].colour[c];
         }
         for (int i = 0; i < count; ++i) {
+            deviation[i] = 0;
             for (int c = 0; c < 3; ++c) {
                 const T d = shown[i].colour[c] - colour[c];
                 deviation[i] += d * d / 3;
@@ -255,9 +266,12 @@ struct Mixture {
     }
 };
 
+// A pixel's sources, looked at again: room for what a Mixture points to.
+template <class T>
+using Chosen = std::array<Shown<T>, most_sources + 1>;
+
 template <class T, class Texel>
-Mixture<T> mix(const Blending<T, Texel>& b, const int32_t* sources, T x, T y, T z) {
-    std::array<Shown<T>, most_sources + 1> shown{};
+Mixture<T> mix(const Blending<T, Texel>& b, const int32_t* sources, T x, T y, T z, Chosen<T>& shown) {
     int chosen = 0;
     const int32_t count = static_cast<int32_t>(b.photos.size());
     for (; chosen <= b.rule.keep; ++chosen) {
@@ -267,7 +281,7 @@ Mixture<T> mix(const Blending<T, Texel>& b, const int32_t* sources, T x, T y, T 
         const Point<T> point(photo.warp, x, y, z);
         shown[chosen] = show<T>(photo, b.rule, b.focal, z, point.g, point.q);
     }
-    return Mixture<T>(shown, chosen, b.rule.keep);
+    return Mixture<T>(shown.data(), chosen, b.rule.keep);
 }
 
 // Pixels of a row that are scored together.
@@ -318,59 +332,69 @@ NMBG_INLINE void rank_source(const Blending<T, Texel>& b, int32_t s, const T* de
     }
 }
 
+// One row of the new view.
 template <class T, class Texel>
-NMBG_INLINE void rank_all(const Blending<T, Texel>& b, const T* depth, int32_t x0, int32_t y, int n,
-                          Ranking<T>& best) {
-    for (int rank = 0; rank <= b.rule.keep; ++rank)
-        for (int i = 0; i < lanes; ++i) best.score[rank][i] = 0, best.source[rank][i] = -1;
-    for (std::size_t s = 0; s < b.photos.size(); ++s)
-        rank_source(b, static_cast<int32_t>(s), depth, x0, y, n, best);
+NMBG_INLINE void blend_any_row(const Blending<T, Texel>& b, int32_t y, const BlendResult<T>& out) {
+    const int keep = b.rule.keep;
+    const int64_t pixels = int64_t{b.height} * b.width;
+    Ranking<T> best;
+    for (int32_t x0 = 0; x0 < b.width; x0 += lanes) {
+        const int n = std::min<int32_t>(lanes, b.width - x0);
+        const int64_t first = int64_t{y} * b.width + x0;
+        for (int rank = 0; rank <= keep; ++rank)
+            for (int i = 0; i < lanes; ++i) best.score[rank][i] = 0, best.source[rank][i] = -1;
+        for (std::size_t s = 0; s < b.photos.size(); ++s)
+            rank_source(b, static_cast<int32_t>(s), b.depth + first, x0, y, n, best);
+        for (int i = 0; i < n; ++i) {
+            const int64_t pixel = first + i;
+            int32_t* chosen = out.sources + (keep + 1) * pixel;
+            // Scores are known from the ranking; what is left are the colours.
+            Shown<T> shown[most_sources + 1];
+            int count = 0;
+            for (; count <= keep; ++count) {
+                chosen[count] = best.source[count][i];
+                if (chosen[count] < 0) break;
+                shown[count].score = best.score[count][i];
+                if (count == keep) continue;
+                const Photo<T, Texel>& photo = b.photos[chosen[count]];
+                const T x = T(x0 + i) + T(0.5), row = T(y) + T(0.5), z = b.depth[pixel];
+                const T *W = photo.warp, qx = along(W, x, row), qy = along(W + 4, x, row),
+                        qz = along(W + 8, x, row);
+                const Sight<T> sight = look<T>(photo, b.rule, b.focal, z, z * qx + W[3], z * qy + W[7],
+                                               z * qz + W[11], qx, qy, qz);
+                shown[count].colour = colour_at(photo, b.rule, sight);
+            }
+            std::fill(chosen + count, chosen + keep + 1, -1);
+            const Mixture<T> mixture(shown, count, keep);
+            for (int c = 0; c < 3; ++c) out.colour[c * pixels + pixel] = mixture.colour[c];
+            out.weight[pixel] = count > 0 ? shown[0].score : T(0);
+            out.variance[pixel] = mixture.variance;
+            for (int k = 0; k < keep; ++k) {
+                out.weights[k * pixels + pixel] = k < mixture.count ? mixture.weight[k] : T(0);
+                if (out.shown)
+                    for (int c = 0; c < 3; ++c)
+                        out.shown[(3 * k + c) * pixels + pixel] = k < count ? shown[k].colour[c] : T(0);
+            }
+        }
+    }
 }
 
-NMBG_WIDEST void rank(const Blending<float, uint8_t>& b, const float* depth, int32_t x0, int32_t y, int n,
-                      Ranking<float>& best) {
-    rank_all(b, depth, x0, y, n, best);
+NMBG_WIDEST void blend_row(const Blending<float, uint8_t>& b, int32_t y, const BlendResult<float>& out) {
+    blend_any_row(b, y, out);
 }
-NMBG_WIDEST void rank(const Blending<float, float>& b, const float* depth, int32_t x0, int32_t y, int n,
-                      Ranking<float>& best) {
-    rank_all(b, depth, x0, y, n, best);
+NMBG_WIDEST void blend_row(const Blending<float, float>& b, int32_t y, const BlendResult<float>& out) {
+    blend_any_row(b, y, out);
 }
 template <class Texel>
-void rank(const Blending<double, Texel>& b, const double* depth, int32_t x0, int32_t y, int n,
-          Ranking<double>& best) {
-    rank_all(b, depth, x0, y, n, best);
+void blend_row(const Blending<double, Texel>& b, int32_t y, const BlendResult<double>& out) {
+    blend_any_row(b, y, out);
 }
 
 }  // namespace
 
 template <class T, class Texel>
 void blend_photos(const Blending<T, Texel>& b, const BlendResult<T>& out) {
-    const int keep = b.rule.keep;
-    const int64_t pixels = int64_t{b.height} * b.width;
-    parallel_for(b.height, b.threads, [&](int64_t y) {
-        Ranking<T> best;
-        for (int32_t x0 = 0; x0 < b.width; x0 += lanes) {
-            const int n = std::min<int32_t>(lanes, b.width - x0);
-            const int64_t first = y * b.width + x0;
-            rank(b, b.depth + first, x0, static_cast<int32_t>(y), n, best);
-            for (int i = 0; i < n; ++i) {
-                const int64_t pixel = first + i;
-                int32_t* chosen = out.sources + (keep + 1) * pixel;
-                for (int rank = 0; rank <= keep; ++rank) chosen[rank] = best.source[rank][i];
-                const Mixture<T> mixture =
-                    mix(b, chosen, T(x0 + i) + T(0.5), T(y) + T(0.5), usable(b.depth[pixel]));
-                for (int c = 0; c < 3; ++c) out.colour[c * pixels + pixel] = mixture.colour[c];
-                out.weight[pixel] = mixture.shown[0].score;
-                out.variance[pixel] = mixture.variance;
-                for (int k = 0; k < keep; ++k) {
-                    out.weights[k * pixels + pixel] = mixture.weight[k];
-                    if (out.shown)
-                        for (int c = 0; c < 3; ++c)
-                            out.shown[(3 * k + c) * pixels + pixel] = mixture.shown[k].colour[c];
-                }
-            }
-        }
-    });
+    parallel_for(b.height, b.threads, [&](int64_t y) { blend_row(b, static_cast<int32_t>(y), out); });
 }
 
 namespace {
@@ -425,7 +449,8 @@ void blend_photos_backward(const Blending<T, Texel>& b, const int32_t* sources, 
                 const int64_t pixel = y * b.width + x;
                 const int32_t* chosen = sources + (keep + 1) * pixel;
                 const T p[3] = {T(x) + T(0.5), T(y) + T(0.5), T(1)}, z = usable(b.depth[pixel]);
-                const Mixture<T> mixture = mix(b, chosen, p[0], p[1], z);
+                Chosen<T> room;
+                const Mixture<T> mixture = mix(b, chosen, p[0], p[1], z, room);
                 const MixtureGradient<T> down(mixture, grad, pixel, pixels, keep);
                 T to_depth = 0;
                 for (int k = 0; k <= keep && chosen[k] >= 0; ++k) {
@@ -475,7 +500,8 @@ void blend_photos_backward_texels(const Blending<T, T>& b, const int32_t* source
             if (k == keep) continue;
             const T x = T(pixel % b.width) + T(0.5), y = T(pixel / b.width) + T(0.5),
                     z = usable(b.depth[pixel]);
-            const Mixture<T> mixture = mix(b, chosen, x, y, z);
+            Chosen<T> room;
+            const Mixture<T> mixture = mix(b, chosen, x, y, z, room);
             if (!(mixture.shown[k].score > 0)) continue;
             const MixtureGradient<T> down(mixture, grad, pixel, pixels, keep);
             const Point<T> point(photo.warp, x, y, z);
