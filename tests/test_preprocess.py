@@ -17,8 +17,8 @@ import trimesh
 from nmbg.errors import NmbgError
 from nmbg.images import write_image
 from nmbg.preprocess import PreprocessOptions, preprocess
-from nmbg.reconstruct.coverage import look
 from nmbg.scene import Scene
+from nmbg.sight import look
 
 
 def test_the_scene_holds_what_the_capture_showed(scene_folder: Path) -> None:

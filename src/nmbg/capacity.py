@@ -7,9 +7,9 @@ from typing import Literal
 import torch
 
 from nmbg.model.cover import SourceCover, greedy_cover
-from nmbg.model.photographs import mesh_depth
 from nmbg.progress import progress_bar
 from nmbg.scene import Scene, View
+from nmbg.sight import look
 
 # Photographs are added while each adds this share to what the ones before cover.
 WORTH = 2e-3
@@ -34,7 +34,7 @@ def choose_photographs(scene: Scene, wish: int | Literal["auto", "all"], per_poi
     with progress_bar() as bar:
         for i, camera in enumerate(bar.track(cameras, description="choosing photographs")):
             small = camera.within(96)
-            points = cover.points(small, mesh_depth(scene.mesh, small))
+            points = cover.points(small, look(scene.mesh, small).depth)
             seen = cover.scores(points, torch.from_numpy(camera.centre)).float()
             seen[i] = 0  # a view must be covered by the others
             scores.append(seen)

@@ -24,9 +24,10 @@ from nmbg.mesh import Mesh, empty_mesh, load_mesh, merge
 from nmbg.progress import progress_bar
 from nmbg.reconstruct.background import Background, best_background, make_background
 from nmbg.reconstruct.colours import mean_vertex_colours, spread
-from nmbg.reconstruct.coverage import Sight, ViewCoverage, behind, count_coverage, look, mask_at, reduced
+from nmbg.reconstruct.coverage import SIGHT_SIZE, ViewCoverage, behind, count_coverage, mask_at
 from nmbg.reconstruct.gallery import Gallery
 from nmbg.scene import Scene, Split, View
+from nmbg.sight import Sight, look
 
 # A background pays from this share of uncovered training pixels on.
 UNCOVERED_SHARE = 0.005
@@ -206,7 +207,7 @@ def _look(scene: Scene) -> tuple[list[Sight], list[Mask]]:
     """What every view sees of a scene's mesh, and its mask, both reduced."""
     sights, masks = [], []
     for view in _tracked(scene.views, "coverage"):
-        sights.append(look(scene.mesh, reduced(view.camera)))
+        sights.append(look(scene.mesh, view.camera.within(SIGHT_SIZE)))
         masks.append(mask_at(scene.load_mask(view), sights[-1].camera))
     return sights, masks
 

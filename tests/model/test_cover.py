@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nmbg.model.cover import SourceCover, greedy_cover
-from nmbg.model.photographs import mesh_depth
 from nmbg.scene import Scene
+from nmbg.sight import look
 
 
 def covered(scores: torch.Tensor, chosen: list[int], per_point: int) -> float:
@@ -43,7 +43,7 @@ def test_choice_contains_the_view_itself_and_honours_what_is_left_out(scene_fold
     scene = Scene.load(scene_folder)
     cover = SourceCover(scene.mesh, [view.camera for view in scene.train])
     for i, view in enumerate(scene.train):
-        depth = mesh_depth(scene.mesh, view.camera)
+        depth = look(scene.mesh, view.camera).depth
         assert i in cover.choose(view.camera, depth, 3, 2)
         assert i not in cover.choose(view.camera, depth, 3, 2, left_out=[i])
 

@@ -14,9 +14,9 @@ from nmbg.mesh import Mesh, drop_unused, empty_mesh, merge
 from nmbg.reconstruct import background
 from nmbg.reconstruct.background import best_background, left_out, score
 from nmbg.reconstruct.completion import close_holes
-from nmbg.reconstruct.coverage import look
 from nmbg.reconstruct.depths import unproject
 from nmbg.reconstruct.gallery import Gallery
+from nmbg.sight import look
 
 DEPTH = 4.0
 

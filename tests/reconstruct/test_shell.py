@@ -6,10 +6,10 @@ import torch
 
 from nmbg.cameras import Camera
 from nmbg.mesh import Mesh, load_mesh, merge
-from nmbg.reconstruct.coverage import look
 from nmbg.reconstruct.gallery import Gallery
 from nmbg.reconstruct.shell import MOST_VERTICES, far_shell
 from nmbg.scene import Scene
+from nmbg.sight import look
 
 
 @pytest.fixture(scope="module")

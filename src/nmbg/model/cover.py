@@ -11,7 +11,7 @@ from torch import Tensor
 
 from nmbg.cameras import Camera
 from nmbg.mesh import Mesh
-from nmbg.ops import face_depth, rasterize_faces
+from nmbg.sight import look
 
 # Longer side of the depth maps that the choice is made with, pixels.
 COARSE = 96
@@ -34,12 +34,9 @@ class SourceCover:
     def __init__(self, mesh: Mesh, cameras: Sequence[Camera]) -> None:
         coarse = [camera.within(COARSE) for camera in cameras]
         side = max(max(camera.width, camera.height) for camera in coarse)
-        vertices, faces = torch.from_numpy(mesh.vertices), torch.from_numpy(mesh.faces)
         self.depth = torch.zeros(len(coarse), side, side)
         for depth, camera in zip(self.depth, coarse, strict=True):
-            h = camera.project(vertices)
-            face, bary = rasterize_faces(h, faces, camera.height, camera.width)
-            depth[: camera.height, : camera.width] = face_depth(face, bary, faces, h)
+            depth[: camera.height, : camera.width] = look(mesh, camera).depth
         self.projection = torch.from_numpy(np.stack([camera.projection for camera in coarse]))
         self.size = torch.tensor([[camera.width, camera.height] for camera in coarse])
         self.centre = torch.from_numpy(np.stack([camera.centre for camera in coarse]))

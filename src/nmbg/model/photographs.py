@@ -15,10 +15,10 @@ import torch
 from torch import Tensor
 
 from nmbg.cameras import Camera
-from nmbg.mesh import Mesh
 from nmbg.model.cover import SourceCover
-from nmbg.ops import blend_photos, face_depth, mip_chain, rasterize_faces
+from nmbg.ops import blend_photos, mip_chain
 from nmbg.scene import Scene, View
+from nmbg.sight import look
 
 # A view is blended from this many photographs at most: more change nothing that one sees.
 CANDIDATES = 14
@@ -107,7 +107,7 @@ class Photographs:
             base: [3, H, W] colour on the mesh in this view.
             without: name of a photograph that must not be among the sources.
         """
-        depth = mesh_depth(self.scene.mesh, camera)
+        depth = look(self.scene.mesh, camera).depth
         chosen = self.candidates(camera, depth, without)
         if not chosen:
             return self._nothing(base)
@@ -150,7 +150,7 @@ class Photographs:
         view = self.views[i]
         image = torch.from_numpy(self.scene.load_image(view)).float() / 255
         residual = image - self.colour(view.camera).permute(1, 2, 0)
-        depth = mesh_depth(self.scene.mesh, view.camera)
+        depth = look(self.scene.mesh, view.camera).depth
         mask = self.scene.load_mask(view)
         keep = None if mask is None else torch.from_numpy(mask)
         texels = ((0.5 + residual / 2).clamp(0, 1) * 255).round().to(torch.uint8)
@@ -161,11 +161,3 @@ class Photographs:
             self._held -= sum(part.nbytes for part in dropped)
         self._cache[i] = source
         return source
-
-
-def mesh_depth(mesh: Mesh, camera: Camera) -> Tensor:
-    """View-space depth of the nearest face per pixel, [H, W] float32, 0 where there is none."""
-    faces = torch.from_numpy(mesh.faces)
-    h = camera.project(torch.from_numpy(mesh.vertices))
-    face, bary = rasterize_faces(h, faces, camera.height, camera.width)
-    return face_depth(face, bary, faces, h)

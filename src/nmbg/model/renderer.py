@@ -20,7 +20,7 @@ from nmbg.model.unet import UNet
 from nmbg.scene import Scene, View
 
 # What a renderer turns into an image: fragments to be shaded, or what mesh and photographs show already.
-Sight = list[LayerFragments] | Gathered
+Prepared = list[LayerFragments] | Gathered
 # Per layer, vertices [V] int64 and their coefficients [V, B, 3], colours in [0, 1].
 Recolouring = Sequence[tuple[Tensor, Tensor]]
 
@@ -73,7 +73,7 @@ class Renderer(nn.Module):
 
     def see(
         self, camera: Camera, without: str | None = None, other_colours: Recolouring | None = None
-    ) -> Sight:
+    ) -> Prepared:
         """What forward() needs of a view.
 
         Args:
@@ -118,7 +118,7 @@ class Renderer(nn.Module):
         ]
         return self._composite(pyramids, fragments)[0, :, : camera.height, : camera.width] + 0.5
 
-    def forward(self, sight: Sight, camera: Camera) -> Tensor:
+    def forward(self, sight: Prepared, camera: Camera) -> Tensor:
         """Render what `see(camera)` gave, [3, H, W], about [0, 1] but not clamped."""
         if isinstance(sight, Gathered):
             return self._fuse(sight)[:, : camera.height, : camera.width]

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from nmbg.mesh import Mesh, empty_mesh, merge
 from nmbg.reconstruct.completion import close_holes
-from nmbg.reconstruct.coverage import look
 from nmbg.reconstruct.gallery import Gallery
 from nmbg.reconstruct.prediction import predict
 from nmbg.reconstruct.shell import far_shell
+from nmbg.sight import look
 
 # So many views are left out and judged, spread over the capture, and at most one of three.
 JUDGED = 8

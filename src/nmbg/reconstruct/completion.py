@@ -18,9 +18,9 @@ from torch import Tensor
 
 from nmbg.cameras import Camera
 from nmbg.mesh import GREY, Mesh, drop_unused, empty_mesh, merge
-from nmbg.reconstruct.coverage import look
 from nmbg.reconstruct.depths import FAR_EXPONENT, push_pull, unproject
 from nmbg.reconstruct.gallery import Gallery
+from nmbg.sight import look
 
 # Side of a patch's cells, pixels of the gallery: holes are smooth, or nothing is known about them.
 CELL = 3

@@ -11,46 +11,11 @@ import torch
 from torch import Tensor
 
 from nmbg.cameras import Camera
-from nmbg.mesh import Mesh
-from nmbg.ops import face_depth, rasterize_faces
 from nmbg.scene import Split
+from nmbg.sight import Sight
 
 # Longer side of the views in which holes are counted and closed, pixels.
 SIGHT_SIZE = 320
-
-
-@dataclass(frozen=True)
-class Sight:
-    """What one camera sees of a mesh.
-
-    Args:
-        camera: the camera, at the size of the images below.
-        face: [H, W] int32, the nearest face, −1 where none.
-        depth: [H, W] float32 view-space z, scene units; 0 where the mesh is not seen.
-    """
-
-    camera: Camera
-    face: Tensor
-    depth: Tensor
-
-    @property
-    def covered(self) -> Tensor:
-        """Where the mesh is seen, [H, W] bool."""
-        return self.face >= 0
-
-
-def reduced(camera: Camera, longest: int = SIGHT_SIZE) -> Camera:
-    """The camera at no more than `longest` pixels on its longer side."""
-    scale = min(1.0, longest / max(camera.width, camera.height))
-    return camera.resized(max(1, round(scale * camera.width)), max(1, round(scale * camera.height)))
-
-
-def look(mesh: Mesh, camera: Camera) -> Sight:
-    """Rasterize the mesh for one camera, with depth."""
-    faces = torch.from_numpy(mesh.faces)
-    h = camera.project(torch.from_numpy(mesh.vertices))
-    face, bary = rasterize_faces(h, faces, camera.height, camera.width)
-    return Sight(camera, face, face_depth(face, bary, faces, h))
 
 
 def behind(front: Sight, back: Sight, offset: int) -> Sight:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from nmbg.cameras import Camera
 from nmbg.images import Image, Mask
-from nmbg.reconstruct.coverage import Sight
+from nmbg.sight import Sight
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,9 @@ import trimesh
 
 from nmbg.mesh import GREY, Mesh
 from nmbg.reconstruct.colours import spread
-from nmbg.reconstruct.coverage import look
 from nmbg.reconstruct.depths import Floats, fill_depth, unproject
 from nmbg.reconstruct.gallery import Gallery
+from nmbg.sight import look
 
 # Of larger views every n-th pixel is used, some such many along the longer side: holes matter, not details.
 FIT_SIZE = 100

@@ -17,7 +17,7 @@ from nmbg.cameras import Camera
 from nmbg.capacity import choose_photographs
 from nmbg.errors import NmbgError
 from nmbg.losses import Perceptual, l1
-from nmbg.model.renderer import Renderer, Sight
+from nmbg.model.renderer import Prepared, Renderer
 from nmbg.progress import console, progress_bar
 from nmbg.scene import Scene, View
 from nmbg.training import checkpoint
@@ -196,10 +196,10 @@ def _views(
 ) -> tuple[Views, Views]:
     """Examples of both parts of the training views."""
 
-    def rasterized(camera: Camera, view: View) -> Sight:
+    def rasterized(camera: Camera, view: View) -> Prepared:
         return renderer.rasterize(camera)
 
-    def left_out(camera: Camera, view: View) -> Sight:
+    def left_out(camera: Camera, view: View) -> Prepared:
         assert fit is not None  # ModelConfig and the presets: photographs stand on a fitted mesh
         return renderer.see(camera, without=view.name, other_colours=fit.without(view))
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from nmbg.cameras import Camera
 from nmbg.model.photographs import Gathered
-from nmbg.model.renderer import Sight
+from nmbg.model.renderer import Prepared
 from nmbg.scene import Scene, View
 
 GIB = 2**30
@@ -30,7 +30,7 @@ class Example:
 
     name: str
     camera: Camera
-    sight: Sight
+    sight: Prepared
     image: Tensor
     mask: Tensor | None
 
@@ -56,7 +56,7 @@ class Views:
         self,
         scene: Scene,
         views: tuple[View, ...],
-        see: Callable[[Camera, View], Sight],
+        see: Callable[[Camera, View], Prepared],
         cache_gib: float,
     ) -> None:
         self.scene, self.views, self.see = scene, views, see
