@@ -9,9 +9,12 @@ Finished rungs are kept: run it again and it goes on where it stopped.
 from __future__ import annotations
 
 import json
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
 import torch

@@ -46,15 +46,22 @@ class Gathered:
     score: Tensor
 
     @property
+    def _parts(self) -> tuple[Tensor, ...]:
+        return self.base, self.shown, self.weights, self.trust, self.score
+
+    @property
     def nbytes(self) -> int:
         """Memory held, bytes."""
-        return sum(t.nbytes for t in (self.base, self.shown, self.weights, self.trust, self.score))
+        return sum(part.nbytes for part in self._parts)
+
+    def to(self, device: torch.device) -> Gathered:
+        """The same on another device."""
+        return Gathered(*(part.to(device) for part in self._parts))
 
     def cropped(self, x0: int, y0: int, width: int, height: int) -> Gathered:
         """The window of width × height pixels whose corner stands at (x0, y0), a view of the same memory."""
         rows, columns = slice(y0, y0 + height), slice(x0, x0 + width)
-        parts = (self.base, self.shown, self.weights, self.trust, self.score)
-        return Gathered(*(part[..., rows, columns] for part in parts))
+        return Gathered(*(part[..., rows, columns] for part in self._parts))
 
     def blended(self) -> Tensor:
         """Mesh and photographs without a network, [3, H, W] float32."""

@@ -93,14 +93,15 @@ class Renderer(nn.Module):
     def _recoloured(self, parts: Recolouring) -> Iterator[None]:
         """Give vertices other colours for a while."""
         tables = [d.coeffs.data for d, _ in zip(self._descriptors, parts, strict=False)]
-        kept = [table[vertices] for table, (vertices, _) in zip(tables, parts, strict=True)]
+        rows = [vertices.to(table.device) for table, (vertices, _) in zip(tables, parts, strict=True)]
+        kept = [table[seen] for table, seen in zip(tables, rows, strict=True)]
         try:
-            for table, (vertices, coeffs) in zip(tables, parts, strict=True):
-                table[vertices] = _centred(coeffs).reshape(len(vertices), -1).to(table)
+            for table, seen, (vertices, coeffs) in zip(tables, rows, parts, strict=True):
+                table[seen] = _centred(coeffs).reshape(len(vertices), -1).to(table)
             yield
         finally:
-            for table, (vertices, _), rows in zip(tables, parts, kept, strict=True):
-                table[vertices] = rows
+            for table, seen, old in zip(tables, rows, kept, strict=True):
+                table[seen] = old
 
     @torch.no_grad()
     def _colour_on_mesh(self, camera: Camera) -> Tensor:
@@ -138,6 +139,7 @@ class Renderer(nn.Module):
 
     def _fuse(self, gathered: Gathered) -> Tensor:
         """Mesh and photographs as one image; a network re-weights the photographs and adds to them."""
+        gathered = gathered.to(self._descriptors[0].coeffs.device)
         if self.network is None:
             return gathered.blended()
         pyramid = [gathered.features()[None].to(memory_format=torch.channels_last)]

@@ -1,0 +1,124 @@
+"""Whether a moving camera sees pops: frames of a smooth path, each compared with the one before it, warped.
+
+Example:
+    python benchmarks/path.py out/fox-run out/fox-mesh --frames 60 --output out/path
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
+
+import click
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from nmbg import __version__
+from nmbg.atomic import atomic_file
+from nmbg.cameras import Camera
+from nmbg.evaluation.figures import Row, sheet
+from nmbg.evaluation.machine import machine
+from nmbg.images import write_image
+from nmbg.progress import progress_bar
+from nmbg.scene import Scene
+from nmbg.sight import look
+from nmbg.training.checkpoint import load_run
+
+SHOWN = 5  # frames of a row of the contact sheet
+DEPTH_TOLERANCE = 0.02
+
+
+@click.command()
+@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--frames", type=click.IntRange(min=2), default=60, show_default=True)
+@click.option("--first", type=int, default=0, show_default=True, help="Training view where the path starts.")
+@click.option("--views", type=click.IntRange(min=2), default=4, show_default=True, help="Views on the path.")
+@click.option("--output", type=click.Path(path_type=Path), required=True, help="Folder for JSON and sheet.")
+def main(runs: tuple[Path, ...], frames: int, first: int, views: int, output: Path) -> None:
+    """Render one path with each of RUNS, which share a scene, and measure how much neighbours differ."""
+    scene = Scene.load(load_run(runs[0]).source)
+    path = smooth_path([view.camera for view in scene.train[first : first + views]], frames)
+    depths = [look(scene.mesh, camera).depth for camera in path]
+    results: dict[str, Any] = {
+        "command": " ".join(["python", *sys.argv]),
+        "nmbg": __version__,
+        "machine": machine("cpu"),
+        "scene": scene.source,
+        "views": [view.name for view in scene.train[first : first + views]],
+        "frames": frames,
+        "runs": {},
+    }
+    rows = []
+    for run in runs:
+        renderer = load_run(run).renderer
+        with progress_bar() as bar:
+            images = [renderer.render(camera) for camera in bar.track(path, description=run.name)]
+        errors = [
+            warped_error(images[i], path[i], depths[i], images[i + 1], path[i + 1], depths[i + 1])
+            for i in range(frames - 1)
+        ]
+        results["runs"][run.name] = {
+            "mean": float(np.mean(errors)),
+            "largest": float(np.max(errors)),
+            "largest_over_median": float(np.max(errors) / np.median(errors)),
+            "steps": errors,
+        }
+        shown = np.linspace(0, frames - 1, SHOWN).round().astype(int)
+        panels = [(images[i].permute(1, 2, 0) * 255).round().to(torch.uint8).numpy() for i in shown]
+        rows.append(Row(run.name, tuple(np.ascontiguousarray(panel) for panel in panels)))
+        headings = [f"frame {i}" for i in shown]
+    output.mkdir(parents=True, exist_ok=True)
+    with atomic_file(output / "sheet.png") as picture:
+        write_image(picture, sheet(rows, headings))
+    with atomic_file(output / "path.json") as file:
+        file.write_text(json.dumps(results, indent=1) + "\n")
+    for name, row in results["runs"].items():
+        click.echo(
+            f"{name}: mean step {row['mean']:.5f}, largest {row['largest']:.5f} "
+            f"({row['largest_over_median']:.2f} times the median)"
+        )
+
+
+def smooth_path(cameras: list[Camera], frames: int) -> list[Camera]:
+    """Cameras along a polyline through the given ones, evenly in time; mixed rotations are made orthonormal."""
+    path = []
+    for place in np.linspace(0, len(cameras) - 1, frames):
+        i = min(int(place), len(cameras) - 2)
+        a, b, share = cameras[i], cameras[i + 1], place - i
+        u, _, vt = np.linalg.svd((1 - share) * a.R + share * b.R)
+        R = u @ vt
+        centre = (1 - share) * a.centre + share * b.centre
+        path.append(Camera(cameras[0].K, R, -R @ centre, cameras[0].width, cameras[0].height))
+    return path
+
+
+def warped_error(
+    before: Tensor, camera: Camera, depth: Tensor, after: Tensor, next_camera: Camera, next_depth: Tensor
+) -> float:
+    """Mean absolute difference of a frame [3, H, W] and the one before, warped into it, where both see a point."""
+    warp = torch.from_numpy(next_camera.warp_to(camera)).float()
+    y, x = torch.meshgrid(
+        torch.arange(next_camera.height) + 0.5, torch.arange(next_camera.width) + 0.5, indexing="ij"
+    )
+    rays = torch.stack([x, y, torch.ones_like(x)], -1) @ warp[:, :3].T
+    points = next_depth[..., None] * rays + warp[:, 3]
+    h = points @ torch.from_numpy(camera.K).float().T
+    z = h[..., 2].clamp(min=1e-6)
+    grid = 2 * h[..., :2] / z[..., None] / torch.tensor([camera.width, camera.height]) - 1
+    fetched = F.grid_sample(
+        torch.cat([before, depth[None]])[None], grid[None], padding_mode="border", align_corners=False
+    )[0]
+    inside = (grid.abs() < 1).all(-1) & (next_depth > 0)
+    seen = inside & ((fetched[3] - z).abs() < DEPTH_TOLERANCE * z)
+    return float((after - fetched[:3]).abs().mean(0)[seen].mean())
+
+
+if __name__ == "__main__":
+    main()
