@@ -87,7 +87,7 @@ def main(runs: tuple[Path, ...], frames: int, first: int, views: int, output: Pa
 
 
 def smooth_path(cameras: list[Camera], frames: int) -> list[Camera]:
-    """Cameras along a polyline through the given ones, evenly in time; mixed rotations are made orthonormal."""
+    """Cameras along a polyline through the given ones, evenly in time; rotations are mixed."""
     path = []
     for place in np.linspace(0, len(cameras) - 1, frames):
         i = min(int(place), len(cameras) - 2)
@@ -102,7 +102,7 @@ def smooth_path(cameras: list[Camera], frames: int) -> list[Camera]:
 def warped_error(
     before: Tensor, camera: Camera, depth: Tensor, after: Tensor, next_camera: Camera, next_depth: Tensor
 ) -> float:
-    """Mean absolute difference of a frame [3, H, W] and the one before, warped into it, where both see a point."""
+    """Mean absolute difference of a frame [3, H, W] and the one before, warped, where both see a point."""
     warp = torch.from_numpy(next_camera.warp_to(camera)).float()
     y, x = torch.meshgrid(
         torch.arange(next_camera.height) + 0.5, torch.arange(next_camera.width) + 0.5, indexing="ij"

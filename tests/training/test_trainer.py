@@ -1,14 +1,19 @@
 import csv
+import shutil
 import signal
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
+from nmbg.cameras import Camera
 from nmbg.errors import NmbgError
+from nmbg.images import Image, write_image
+from nmbg.model.photographs import Gathered, Photographs
 from nmbg.model.renderer import Renderer
-from nmbg.scene import Scene
+from nmbg.scene import Scene, View
 from nmbg.training import checkpoint
 from nmbg.training.config import PRESETS, TrainConfig
 from nmbg.training.trainer import resume, train
@@ -175,3 +180,71 @@ def test_no_run_folder(tmp_path: Path) -> None:
 def test_scene_and_run_move_together(run: Path, scene_folder: Path, tmp_path: Path) -> None:
     before = checkpoint.load_config(run)[0]
     assert before.resolve() == scene_folder.resolve()
+
+
+@pytest.fixture
+def photo_run(scene_folder: Path, tmp_path: Path) -> Path:
+    config = replace(SMALL["photos"], photos=4)
+    return train(Scene.load(scene_folder), config, tmp_path / "photo-run")
+
+
+def test_a_run_renders_without_its_scene(photo_run: Path, scene_folder: Path, tmp_path: Path) -> None:
+    """The run folder alone, elsewhere, shows the same picture: it holds the geometry and its photographs."""
+    camera = Scene.load(scene_folder).test[0].camera
+    here = checkpoint.load_run(photo_run).renderer.render(camera)
+    elsewhere = Path(shutil.move(photo_run, tmp_path / "far" / "away"))
+    moved = checkpoint.load_run(elsewhere)
+    assert not moved.source.exists()
+    assert torch.equal(here, moved.renderer.render(camera))
+    assert len(list((elsewhere / "scene" / "images").iterdir())) == 4
+
+
+@pytest.mark.parametrize("damage", [None, b"", b"no image"])
+def test_a_photograph_that_the_run_lacks_is_named(
+    photo_run: Path, scene_folder: Path, damage: bytes | None
+) -> None:
+    renderer = checkpoint.load_run(photo_run).renderer
+    for path in (photo_run / "scene" / "images").iterdir():
+        path.unlink() if damage is None else path.write_bytes(damage)
+    with pytest.raises(NmbgError, match=str(photo_run / "scene" / "images")):
+        renderer.render(Scene.load(scene_folder).test[0].camera)
+
+
+def test_a_photograph_of_another_size_is_named(photo_run: Path, scene_folder: Path) -> None:
+    renderer = checkpoint.load_run(photo_run).renderer
+    for path in (photo_run / "scene" / "images").iterdir():
+        write_image(path, np.zeros((7, 9, 3), np.uint8))
+    with pytest.raises(NmbgError, match="9×7 pixels"):
+        renderer.render(Scene.load(scene_folder).test[0].camera)
+
+
+def test_a_network_learns_from_what_the_other_photographs_show(
+    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A training view is none of its own sources, and its colours on the mesh do not know its photograph."""
+    load_image, gather = Scene.load_image, Photographs.gather
+    base: dict[str, torch.Tensor] = {}
+    black = ""
+
+    def spy(self: Photographs, camera: Camera, on_mesh: torch.Tensor, without: str | None = None) -> Gathered:
+        assert without is not None
+        base[without] = on_mesh
+        found = gather(self, camera, on_mesh, without)
+        prepared = {self.views[i].name for i in self._cache}
+        assert prepared
+        assert without not in prepared
+        return found
+
+    def painted(self: Scene, view: View) -> Image:
+        image = load_image(self, view)
+        return np.zeros_like(image) if view.name == black else image
+
+    monkeypatch.setattr(Photographs, "gather", spy)
+    monkeypatch.setattr(Scene, "load_image", painted)
+    config = replace(SMALL["nmbg"], iterations=1, validation_views=0)
+    train(Scene.load(scene_folder), config, tmp_path / "as-it-is")
+    ((black, before),) = base.items()
+    train(Scene.load(scene_folder), config, tmp_path / "black")
+    assert list(base) == [black]
+    # Sums of the view are added and taken out again in float32.
+    assert (base[black] - before).abs().max() < 0.02
