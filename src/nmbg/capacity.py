@@ -12,7 +12,7 @@ from nmbg.scene import Scene, View
 from nmbg.sight import look
 
 # Photographs are added while each adds this share to what the ones before cover.
-WORTH = 2e-3
+WORTH = 5e-4
 
 
 def choose_photographs(scene: Scene, wish: int | Literal["auto", "all"], per_point: int) -> tuple[View, ...]:
