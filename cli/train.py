@@ -59,6 +59,11 @@ class PhotoCount(click.ParamType[int | str]):
     "--validation-views", type=click.IntRange(min=0), help="Training views kept aside for progress figures."
 )
 @click.option(
+    "--refine",
+    type=click.Choice(["geometry", "none"]),
+    help="Move the surface to where the photographs agree  [default: geometry for nmbg]",
+)
+@click.option(
     "--photos",
     type=PhotoCount(),
     help="Photographs to keep: a number, auto (what the scene needs) or all.  [default: all]",

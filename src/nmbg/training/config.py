@@ -49,6 +49,7 @@ class TrainConfig:
         epochs: passes over the training views, or None.
         minutes: wall-clock budget, or None. Exactly one of the three is set.
         validation_views: training views kept aside for progress figures.
+        refine: move the surface to where the photographs agree before anything else: "geometry" or "none".
         photos: training photographs kept in the run: how many at most, "auto" or "all".
         seed: seeds weights, the order of views and the random windows.
         device: "cpu" or "cuda".
@@ -67,6 +68,7 @@ class TrainConfig:
     epochs: int | None = None
     minutes: float | None = None
     validation_views: int = 2
+    refine: Literal["geometry", "none"] = "none"
     photos: int | Literal["auto", "all"] = "all"
     seed: int = 0
     device: str = "cpu"
@@ -140,6 +142,7 @@ PRESETS: dict[str, TrainConfig] = {
             # step with L_rec costs two and a half of these, and at equal time they lower LPIPS as much.
             (Stage(1.0, network=True, descriptor_rate=0.0, network_rate=2e-3),),
             window=0.35,
+            refine="geometry",
             minutes=15,
         ),
     )

@@ -19,6 +19,7 @@ from nmbg.errors import NmbgError
 from nmbg.losses import Perceptual, l1
 from nmbg.model.renderer import Prepared, Renderer
 from nmbg.progress import console, progress_bar
+from nmbg.reconstruct.refinement import refine_geometry
 from nmbg.scene import Scene, View
 from nmbg.training import checkpoint
 from nmbg.training.budget import Budget, Clock
@@ -56,6 +57,8 @@ def train(
     perceptual = _perceptual(config, weights)
     sources = config.model.sources
     with atomic_folder(run, overwrite) as temporary:
+        if config.refine == "geometry":
+            scene = replace(scene, mesh=refine_geometry(scene))
         renderer = checkpoint.build_renderer(scene, config)
         kept = choose_photographs(scene, config.photos, sources) if sources else ()
         checkpoint.save_scene(temporary, scene, kept)
@@ -94,7 +97,7 @@ def resume(run: Path, weights: Path | None = None) -> Path:
     state = checkpoint.load_progress(found)
     clock = Clock(state.seconds)
     perceptual = _perceptual(config, weights)
-    scene = Scene.load(folder)
+    scene = replace(Scene.load(folder), mesh=Scene.load(run / checkpoint.SCENE).mesh)
     renderer = checkpoint.build_renderer(scene, config)
     checkpoint.load_model(found, renderer)
     checkpoint.remember_photographs(run, renderer)

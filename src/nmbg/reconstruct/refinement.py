@@ -1,0 +1,210 @@
+"""Moving the surface to where the photographs agree about it.
+
+Every photograph is predicted from the others over the surface moved by a few steps along its normals, to both
+sides; each vertex takes the step at which the errors around it are least. A sweep, because the error is no
+smooth function of an outline: gradients of the rasterized depth end there, and outlines gain most. The errors
+of all steps are charged to the vertices that the unmoved surface shows in these pixels, so that what a moved
+outline takes from its background counts as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import torch
+import torch.nn.functional as F
+import trimesh
+from scipy.sparse import csr_array
+from torch import Tensor
+
+from nmbg.images import resize
+from nmbg.mesh import Mesh
+from nmbg.model.cover import SourceCover
+from nmbg.ops import blend_photos, mip_chain, rasterize_faces, scatter_faces
+from nmbg.progress import progress_bar
+from nmbg.reconstruct.coverage import mask_at
+from nmbg.scene import Scene
+from nmbg.sight import look
+
+# Longer side at which photographs are compared, pixels.
+SIZE = 640
+# So many views at most, spread over the capture.
+MOST_VIEWS = 72
+# Photographs that one is predicted from, and how many of them in a pixel.
+CANDIDATES, SOURCES = 14, 5
+# Steps along the normals that are tried in a round.
+STEPS = (-3, -2, -1, 0, 1, 2, 3)
+# What a step costs, in mean absolute colour difference in [0, 1]: where nothing is gained, nothing moves.
+STEP_COST = 5e-4
+# Error where no other photograph sees the surface, and the score at which that counts half.
+UNSEEN, HALF_TRUST = 0.2, 1e-4
+# Rounds of means that keep the steps of neighbouring vertices alike.
+EVENNESS = 3
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One round.
+
+    Args:
+        pixels: how far a step moves a surface seen from its side, pixels of the nearest view.
+        window: side of the window over which errors are averaged, pixels.
+        smoothing: rounds of means over neighbouring vertices.
+    """
+
+    pixels: float
+    window: int
+    smoothing: int
+
+
+SWEEPS = (Sweep(0.75, 7, 20), Sweep(0.4, 5, 10))
+
+Array = npt.NDArray[np.float64]
+
+
+def refine_geometry(scene: Scene, sweeps: Sequence[Sweep] = SWEEPS) -> Mesh:
+    """The scene's mesh with its vertices moved along their normals; the far shell stays where it is.
+
+    Args:
+        scene: only its training views are read.
+        sweeps: the coarsest first.
+    """
+    mesh, judge = scene.mesh, _Judge(scene)
+    joined = _neighbours(mesh)
+    with progress_bar() as bar:
+        task = bar.add_task("refining geometry", total=len(sweeps) * len(STEPS))
+        for sweep in sweeps:
+            unit = sweep.pixels * judge.pixel_sizes(mesh)
+            unit[len(unit) - scene.shell_vertices :] = 0
+            normals = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).vertex_normals
+            sources, errors = judge.sources(mesh), []
+            for step in STEPS:
+                errors.append(judge.errors(_moved(mesh, step * unit, normals), sources))
+                bar.advance(task)
+            charged = judge.charge(mesh, list(zip(*errors, strict=True)), sweep.window)
+            steps = _best_steps(charged, joined, sweep.smoothing)
+            mesh = _moved(mesh, steps * unit, normals)
+    return mesh
+
+
+def _moved(mesh: Mesh, distance: Array, normals: Array) -> Mesh:
+    return replace(mesh, vertices=(mesh.vertices + distance[:, None] * normals).astype(np.float32))
+
+
+def _neighbours(mesh: Mesh) -> csr_array:
+    """Matrix [N, N] that averages a vertex and those that it shares an edge with."""
+    n = len(mesh.vertices)
+    edges = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).edges_unique
+    rows = np.concatenate([edges[:, 0], edges[:, 1], np.arange(n)])
+    columns = np.concatenate([edges[:, 1], edges[:, 0], np.arange(n)])
+    share = 1 / np.bincount(rows, minlength=n)
+    return csr_array((share[rows], (rows, columns)), shape=(n, n))
+
+
+def _best_steps(charged: Array, joined: csr_array, smoothing: int) -> Array:
+    """The step of each vertex, between the tried ones where the errors say so.
+
+    Args:
+        charged: [N, steps + 1], per vertex the sum of errors of each step, and their weight.
+        joined: of `_neighbours`.
+        smoothing: rounds of means before the choice.
+
+    Returns:
+        [N]; 0 where no view sees anything.
+    """
+    for _ in range(smoothing):
+        charged = joined @ charged
+    weight = charged[:, -1:]
+    steps = np.array(STEPS, dtype=np.float64)
+    cost = charged[:, :-1] / np.maximum(weight, 1e-6) + STEP_COST * np.abs(steps)
+    best = cost.argmin(1)
+    # The vertex of a parabola through the best step and its neighbours.
+    middle = best.clip(1, len(steps) - 2)
+    before, at, after = (cost[np.arange(len(cost)), middle + i] for i in (-1, 0, 1))
+    bend = np.maximum(before - 2 * at + after, 1e-12)
+    between = np.where(best == middle, (0.5 * (before - after) / bend).clip(-0.5, 0.5), 0.0)
+    chosen: Array = np.where(weight[:, 0] > 1e-6, steps[best] + between, 0.0)
+    for _ in range(EVENNESS):
+        chosen = joined @ chosen
+    return chosen
+
+
+class _Judge:
+    """Training photographs, each of which is predicted from the others over any surface."""
+
+    def __init__(self, scene: Scene) -> None:
+        n = min(len(scene.train), MOST_VIEWS)
+        views = [scene.train[int((i + 0.5) * len(scene.train) / n)] for i in range(n)]
+        self.cameras = [view.camera.within(SIZE) for view in views]
+        self.images: list[Tensor] = []  # [3, H, W] in [0, 1]
+        self.masks: list[Tensor] = []  # [H, W] bool
+        self.texels: list[Tensor] = []
+        for view, camera in zip(views, self.cameras, strict=True):
+            image = torch.from_numpy(resize(scene.load_image(view), camera.width, camera.height))
+            mask = torch.from_numpy(mask_at(scene.load_mask(view), camera))
+            self.images.append(image.permute(2, 0, 1) / 255)
+            self.masks.append(mask)
+            self.texels.append(mip_chain(image, mask))
+
+    def pixel_sizes(self, mesh: Mesh) -> Array:
+        """What a pixel spans at each vertex in the view that is nearest to it, [N] scene units."""
+        points = torch.from_numpy(mesh.vertices)
+        sizes = torch.full((len(points),), torch.inf)
+        for camera in self.cameras:
+            u, v, z = camera.project(points).unbind(1)
+            inside = (z > 0) & (u >= 0) & (v >= 0) & (u < camera.width * z) & (v < camera.height * z)
+            sizes = torch.where(inside, sizes.minimum(z / camera.K[0, 0]), sizes)
+        return torch.where(sizes.isinf(), 0, sizes).double().numpy()
+
+    def sources(self, mesh: Mesh) -> list[list[int]]:
+        """Per view, the other views that it is predicted from."""
+        cover = SourceCover(mesh, self.cameras)
+        return [
+            cover.choose(camera, look(mesh, camera).depth, CANDIDATES, SOURCES, [i])
+            for i, camera in enumerate(self.cameras)
+        ]
+
+    def errors(self, mesh: Mesh, sources: Sequence[Sequence[int]]) -> list[Tensor]:
+        """Per view, mean absolute colour difference of its prediction [H, W]."""
+        depths = [
+            look(mesh, camera).depth * mask for camera, mask in zip(self.cameras, self.masks, strict=True)
+        ]
+        return [self._error(i, others, depths) for i, others in enumerate(sources)]
+
+    def _error(self, i: int, others: Sequence[int], depths: Sequence[Tensor]) -> Tensor:
+        if not others:
+            return torch.full_like(depths[i], UNSEEN)
+        camera, cameras = self.cameras[i], [self.cameras[j] for j in others]
+        blend = blend_photos(
+            depths[i],
+            torch.from_numpy(np.stack([camera.warp_to(other) for other in cameras])).float(),
+            torch.from_numpy(np.stack([other.K for other in cameras])).float(),
+            float(camera.K[0, 0]),
+            [self.texels[j] for j in others],
+            [depths[j] for j in others],
+            keep=SOURCES,
+        )
+        trust = blend.weight / (blend.weight + HALF_TRUST)
+        return trust * (blend.colour - self.images[i]).abs().mean(0) + (1 - trust) * UNSEEN
+
+    def charge(self, mesh: Mesh, errors: Sequence[Sequence[Tensor]], window: int) -> Array:
+        """Charge errors to the vertices that the views see, [N, steps + 1]: sum per step, and weight.
+
+        Args:
+            mesh: the surface that is charged.
+            errors: per view and step, [H, W].
+            window: side of the window over which they are averaged before, pixels.
+        """
+        vertices, faces = torch.from_numpy(mesh.vertices), torch.from_numpy(mesh.faces)
+        sums = torch.zeros(len(vertices), len(errors[0]) + 1, dtype=torch.float64)
+        for camera, mask, steps in zip(self.cameras, self.masks, errors, strict=True):
+            counted = torch.stack([*steps, torch.ones_like(steps[0])]) * mask
+            mean = F.avg_pool2d(counted, window, 1, window // 2)
+            pixels = mean / mean[-1].clamp(min=1e-6) * mask
+            face, bary = rasterize_faces(camera.project(vertices), faces, camera.height, camera.width)
+            rays = torch.zeros_like(bary)  # harmonics of degree 0 do not ask for a direction
+            sums += scatter_faces(pixels, face, bary, faces, rays, len(vertices), 1)[:, 0]
+        return sums.numpy()
