@@ -8,7 +8,7 @@ import torch
 from nmbg.cameras import Camera
 from nmbg.model.photographs import Photographs, count_features
 from nmbg.model.renderer import Renderer
-from nmbg.scene import Scene
+from nmbg.scene import Scene, View
 from nmbg.training.config import PRESETS
 from nmbg.training.start import mean_colours
 
@@ -74,7 +74,8 @@ def test_where_no_photograph_looks_the_mesh_shows(scene: Scene) -> None:
     base = torch.rand(3, camera.height, camera.width)
     gathered = photographs.gather(camera, base)
     unseen = gathered.trust == 0
-    assert torch.equal(gathered.blended()[:, unseen], base.half().float()[:, unseen])
+    exposed = photographs.exposure(camera).apply(base)
+    assert torch.equal(gathered.blended()[:, unseen], exposed.half().float()[:, unseen])
     assert gathered.blended().isfinite().all()
 
 
@@ -84,6 +85,25 @@ def test_one_photograph_left_out_of_one_leaves_the_mesh(scene: Scene) -> None:
     gathered = photographs.gather(view.camera, grey(view.camera), view.name)
     assert torch.equal(gathered.blended(), grey(view.camera))
     assert gathered.features().shape == (count_features(2), view.camera.height, view.camera.width)
+
+
+def test_a_view_is_exposed_as_the_photographs_around_it(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Photographs of a plain world, one side of the ring darker: each left-out view comes out as it was."""
+    dark = {view.name for view in scene.train[:4]}
+
+    def plain(self: Scene, view: View) -> np.ndarray:
+        return np.full(
+            (view.camera.height, view.camera.width, 3), 120 if view.name in dark else 130, np.uint8
+        )
+
+    monkeypatch.setattr(Scene, "load_image", plain)
+    photographs = Photographs(scene, scene.train, grey, 3)
+    nothing = torch.full((3, 48, 64), 0.5)
+    for view, level in ((scene.train[1], 120), (scene.train[-2], 130)):
+        shown = photographs.exposure(view.camera, view.name).apply(nothing)
+        torch.testing.assert_close(shown, torch.full_like(shown, level / 255), atol=2.5 / 255, rtol=0)
 
 
 def test_a_small_cache_gives_the_same_picture(scene: Scene) -> None:

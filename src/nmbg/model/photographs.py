@@ -1,7 +1,8 @@
 """The photographs as memory: what they show that the mesh does not, blended into any view.
 
-What is blended are residuals, photograph − colour on the mesh as the photograph's own camera sees it: where
-the mesh shows too little they add it, and where no photograph sees the surface the mesh's colour remains.
+What is blended are residuals, photograph − colour on the mesh as the photograph's own camera sees it; its
+exposure is undone before. Where the mesh shows too little they add it, and where no photograph sees the
+surface the mesh's colour remains. The whole is exposed as the photographs around the view are.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -16,6 +18,7 @@ from torch import Tensor
 
 from nmbg.cameras import Camera
 from nmbg.model.cover import SourceCover
+from nmbg.model.exposure import Exposure, fit_exposure, mean_exposure, neighbours
 from nmbg.ops import blend_photos, mip_chain
 from nmbg.scene import Scene, View
 from nmbg.sight import look
@@ -81,6 +84,20 @@ def count_features(sources: int) -> int:
     return 3 + 3 + 3 * sources + sources + 2
 
 
+class Source(NamedTuple):
+    """A photograph ready to be blended.
+
+    Args:
+        texels: [texels, 3] uint8, mip chain of ½ + residual / 2.
+        depth: [h, w] float32 view-space z of the surface, 0 where none is seen or the mask leaves it out.
+        exposure: of the photograph.
+    """
+
+    texels: Tensor
+    depth: Tensor
+    exposure: Exposure
+
+
 class Photographs:
     """Training photographs ready to be blended, prepared when they are first needed.
 
@@ -103,7 +120,7 @@ class Photographs:
         self.scene, self.views, self.colour, self.sources = scene, tuple(views), colour, sources
         self._limit = int(cache_gib * GIB)
         self._held = 0
-        self._cache: OrderedDict[int, tuple[Tensor, Tensor]] = OrderedDict()
+        self._cache: OrderedDict[int, Source] = OrderedDict()
         self._cover: SourceCover | None = None
 
     def gather(self, camera: Camera, base: Tensor, without: str | None = None) -> Gathered:
@@ -115,10 +132,12 @@ class Photographs:
             without: name of a photograph that must not be among the sources.
         """
         depth = look(self.scene.mesh, camera).depth
+        exposure = self.exposure(camera, without)
+        base = exposure.apply(base)
         chosen = self.candidates(camera, depth, without)
         if not chosen:
             return self._nothing(base)
-        texels, surfaces = zip(*(self._source(i) for i in chosen), strict=True)
+        texels, surfaces, _ = zip(*(self._source(i) for i in chosen), strict=True)
         cameras = [self.views[i].camera for i in chosen]
         blend = blend_photos(
             depth,
@@ -132,7 +151,7 @@ class Photographs:
         )
         trust = blend.weight / (blend.weight + HALF_TRUST)
         # Texels hold ½ + residual / 2; a source that is not there shows 0 and must stay 0.
-        residuals = (2 * blend.shown - 1) * (blend.weights > 0)[:, None] * trust
+        residuals = exposure.gain * (2 * blend.shown - 1) * (blend.weights > 0)[:, None] * trust
         return Gathered(
             base.half(), residuals.half(), blend.weights.half(), trust.half(), blend.weight.half()
         )
@@ -144,27 +163,36 @@ class Photographs:
         left_out = [i for i, view in enumerate(self.views) if view.name == without]
         return self._cover.choose(camera, depth, CANDIDATES, self.sources, left_out)
 
+    def exposure(self, camera: Camera, without: str | None = None) -> Exposure:
+        """How a view is exposed: as the photographs around it."""
+        others = [i for i, view in enumerate(self.views) if view.name != without]
+        centres = np.array([self.views[i].camera.centre for i in others]).reshape(-1, 3)
+        near, weights = neighbours(camera.centre, centres)
+        return mean_exposure([self._source(others[i]).exposure for i in near], weights)
+
     def _nothing(self, base: Tensor) -> Gathered:
         size = tuple(base.shape[1:])
         zeros = torch.zeros(self.sources, 4, *size, dtype=torch.float16)
         return Gathered(base.half(), zeros[:, :3], zeros[:, 3], zeros[0, 3], zeros[0, 3])
 
-    def _source(self, i: int) -> tuple[Tensor, Tensor]:
-        """Mip chain of a photograph's residuals as bytes, and its depth, 0 where its mask leaves it out."""
+    def _source(self, i: int) -> Source:
         if i in self._cache:
             self._cache.move_to_end(i)
             return self._cache[i]
-        view = self.views[i]
-        image = torch.from_numpy(self.scene.load_image(view)).float() / 255
-        residual = image - self.colour(view.camera).permute(1, 2, 0)
-        depth = look(self.scene.mesh, view.camera).depth
-        mask = self.scene.load_mask(view)
-        keep = None if mask is None else torch.from_numpy(mask)
-        texels = ((0.5 + residual / 2).clamp(0, 1) * 255).round().to(torch.uint8)
-        source = mip_chain(texels, keep), depth if keep is None else depth * keep
-        self._held += sum(part.nbytes for part in source)
+        source = self._prepare(self.views[i])
+        self._held += source.texels.nbytes + source.depth.nbytes
         while self._cache and self._held > self._limit:
             _, dropped = self._cache.popitem(last=False)
-            self._held -= sum(part.nbytes for part in dropped)
+            self._held -= dropped.texels.nbytes + dropped.depth.nbytes
         self._cache[i] = source
         return source
+
+    def _prepare(self, view: View) -> Source:
+        image = torch.from_numpy(self.scene.load_image(view)).permute(2, 0, 1) / 255
+        colour, sight = self.colour(view.camera), look(self.scene.mesh, view.camera)
+        mask = self.scene.load_mask(view)
+        keep = torch.ones_like(sight.covered) if mask is None else torch.from_numpy(mask)
+        exposure = fit_exposure(image, colour, sight.covered & keep)
+        residual = (exposure.undo(image) - colour).permute(1, 2, 0)
+        texels = ((0.5 + residual / 2).clamp(0, 1) * 255).round().to(torch.uint8)
+        return Source(mip_chain(texels, keep), sight.depth * keep, exposure)

@@ -1,0 +1,94 @@
+"""Exposure: how the colours of a photograph differ from those on the mesh, and a new view's from both.
+
+The mesh averages all photographs. One that was taken darker or warmer differs from it by an affine map per
+channel; near photographs, taken soon after one another, by nearly the same. A new view is shown as its
+neighbours were exposed; nothing is fitted to what it is compared with.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+# Pixels whose colour differs by more show something else than the mesh does.
+ALIKE = 0.1
+# Added to the variance of colours: what shows one colour alone says nothing about gains.
+RIDGE = 1e-3
+# A view is exposed as so many photographs around it.
+NEIGHBOURS = 4
+# What the next one's closeness takes from theirs; where all are as close, all count the same.
+LIMIT_SHARE = 1 - 1e-4
+
+
+class Exposure(NamedTuple):
+    """colour as photographed = gain · colour on the mesh + offset.
+
+    Args:
+        gain: [3, 1, 1] float32.
+        offset: [3, 1, 1] float32.
+    """
+
+    gain: Tensor
+    offset: Tensor
+
+    def apply(self, colour: Tensor) -> Tensor:
+        """Expose a colour image [3, H, W]."""
+        return self.gain * colour + self.offset
+
+    def undo(self, image: Tensor) -> Tensor:
+        """The colours on the mesh that a photograph [3, H, W] shows."""
+        return (image - self.offset) / self.gain
+
+
+def fit_exposure(image: Tensor, colour: Tensor, counted: Tensor) -> Exposure:
+    """Least squares over the pixels that show alike colours; a photograph without any is taken as it is.
+
+    Args:
+        image: [3, H, W] float32 photograph in [0, 1].
+        colour: [3, H, W] float32 colour on the mesh.
+        counted: [H, W] bool, pixels that count.
+    """
+    alike = counted & ((image - colour).abs().amax(0) < ALIKE)
+    x, y = colour[:, alike].double(), image[:, alike].double()
+    if not x.shape[1]:
+        return Exposure(torch.ones(3, 1, 1), torch.zeros(3, 1, 1))
+    mean_x, mean_y = x.mean(1, keepdim=True), y.mean(1, keepdim=True)
+    variance = (x - mean_x).square().mean(1, keepdim=True)
+    covariance = ((x - mean_x) * (y - mean_y)).mean(1, keepdim=True)
+    gain = (covariance + RIDGE) / (variance + RIDGE)
+    offset = mean_y - gain * mean_x
+    return Exposure(gain[..., None].float(), offset[..., None].float())
+
+
+def neighbours(
+    centre: npt.NDArray[np.float64], centres: npt.NDArray[np.float64]
+) -> tuple[list[int], list[float]]:
+    """The photographs around a view and their weights, which reach 0 where the next one comes in.
+
+    Args:
+        centre: [3], of the view.
+        centres: [N, 3], of the photographs.
+
+    Returns:
+        indices and weights; these sum to one, or there are none.
+    """
+    distance = np.linalg.norm(centres - centre, axis=1)
+    near = distance.argsort(kind="stable")[: NEIGHBOURS + 1]
+    limit = max(float(distance[near].max(initial=0)), 1e-12)
+    closeness = limit / distance[near].clip(min=1e-3 * limit)
+    if len(near) > NEIGHBOURS:
+        near, closeness = near[:-1], closeness[:-1] - LIMIT_SHARE * closeness[-1]
+    return near.tolist(), (closeness / closeness.sum()).tolist()
+
+
+def mean_exposure(exposures: list[Exposure], weights: list[float]) -> Exposure:
+    """Weighted mean; of none, no change."""
+    if not exposures:
+        return Exposure(torch.ones(3, 1, 1), torch.zeros(3, 1, 1))
+    gains, offsets = (torch.stack(part) for part in zip(*exposures, strict=True))
+    shares = torch.tensor(weights)[:, None, None, None]
+    return Exposure((shares * gains).sum(0), (shares * offsets).sum(0))
