@@ -17,7 +17,6 @@ import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 import trimesh
-from scipy.sparse import csr_array
 from torch import Tensor
 
 from nmbg.images import resize
@@ -73,7 +72,7 @@ def refine_geometry(scene: Scene, sweeps: Sequence[Sweep] = SWEEPS) -> Mesh:
         sweeps: the coarsest first.
     """
     mesh, judge = scene.mesh, _Judge(scene)
-    joined = _neighbours(mesh)
+    neighbours = _Neighbours(mesh)
     with progress_bar() as bar:
         task = bar.add_task("refining geometry", total=len(sweeps) * len(STEPS))
         for sweep in sweeps:
@@ -85,7 +84,7 @@ def refine_geometry(scene: Scene, sweeps: Sequence[Sweep] = SWEEPS) -> Mesh:
                 errors.append(judge.errors(_moved(mesh, step * unit, normals), sources))
                 bar.advance(task)
             charged = judge.charge(mesh, list(zip(*errors, strict=True)), sweep.window)
-            steps = _best_steps(charged, joined, sweep.smoothing)
+            steps = _best_steps(charged, neighbours, sweep.smoothing)
             mesh = _moved(mesh, steps * unit, normals)
     return mesh
 
@@ -94,29 +93,37 @@ def _moved(mesh: Mesh, distance: Array, normals: Array) -> Mesh:
     return replace(mesh, vertices=(mesh.vertices + distance[:, None] * normals).astype(np.float32))
 
 
-def _neighbours(mesh: Mesh) -> csr_array:
-    """Matrix [N, N] that averages a vertex and those that it shares an edge with."""
-    n = len(mesh.vertices)
-    edges = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).edges_unique
-    rows = np.concatenate([edges[:, 0], edges[:, 1], np.arange(n)])
-    columns = np.concatenate([edges[:, 1], edges[:, 0], np.arange(n)])
-    share = 1 / np.bincount(rows, minlength=n)
-    return csr_array((share[rows], (rows, columns)), shape=(n, n))
+class _Neighbours:
+    """Means over every vertex and those that it shares an edge with."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        edges = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).edges_unique
+        itself = np.arange(len(mesh.vertices))
+        pairs = np.concatenate([edges, edges[:, ::-1], np.stack([itself, itself], 1)])
+        pairs = pairs[np.lexsort(pairs.T[::-1])]
+        self.other = pairs[:, 1]
+        self.first = np.searchsorted(pairs[:, 0], itself)
+        self.count = np.diff(self.first, append=len(pairs)).astype(np.float64)
+
+    def mean(self, values: Array, rounds: int) -> Array:
+        """Values [N, C] after some rounds of means."""
+        for _ in range(rounds):
+            values = np.add.reduceat(values[self.other], self.first) / self.count[:, None]
+        return values
 
 
-def _best_steps(charged: Array, joined: csr_array, smoothing: int) -> Array:
+def _best_steps(charged: Array, neighbours: _Neighbours, smoothing: int) -> Array:
     """The step of each vertex, between the tried ones where the errors say so.
 
     Args:
         charged: [N, steps + 1], per vertex the sum of errors of each step, and their weight.
-        joined: of `_neighbours`.
+        neighbours: of the vertices.
         smoothing: rounds of means before the choice.
 
     Returns:
         [N]; 0 where no view sees anything.
     """
-    for _ in range(smoothing):
-        charged = joined @ charged
+    charged = neighbours.mean(charged, smoothing)
     weight = charged[:, -1:]
     steps = np.array(STEPS, dtype=np.float64)
     cost = charged[:, :-1] / np.maximum(weight, 1e-6) + STEP_COST * np.abs(steps)
@@ -126,10 +133,8 @@ def _best_steps(charged: Array, joined: csr_array, smoothing: int) -> Array:
     before, at, after = (cost[np.arange(len(cost)), middle + i] for i in (-1, 0, 1))
     bend = np.maximum(before - 2 * at + after, 1e-12)
     between = np.where(best == middle, (0.5 * (before - after) / bend).clip(-0.5, 0.5), 0.0)
-    chosen: Array = np.where(weight[:, 0] > 1e-6, steps[best] + between, 0.0)
-    for _ in range(EVENNESS):
-        chosen = joined @ chosen
-    return chosen
+    chosen = np.where(weight[:, 0] > 1e-6, steps[best] + between, 0.0)
+    return neighbours.mean(chosen[:, None], EVENNESS)[:, 0]
 
 
 class _Judge:
