@@ -36,8 +36,9 @@ MOST_VIEWS = 72
 CANDIDATES, SOURCES = 14, 5
 # Steps along the normals that are tried in a round.
 STEPS = (-3, -2, -1, 0, 1, 2, 3)
-# What a step costs, in mean absolute colour difference in [0, 1]: where nothing is gained, nothing moves.
-STEP_COST = 5e-4
+# What a step must gain, as a share of the error of the unmoved surface: errors differ by chance, too, and more
+# where they are large. Errors below the second, in [0, 1], are no evidence.
+STEP_COST, LEAST_ERROR = 0.03, 0.01
 # Error where no other photograph sees the surface, and the score at which that counts half.
 UNSEEN, HALF_TRUST = 0.2, 1e-4
 # Rounds of means that keep the steps of neighbouring vertices alike.
@@ -126,7 +127,9 @@ def _best_steps(charged: Array, neighbours: _Neighbours, smoothing: int) -> Arra
     charged = neighbours.mean(charged, smoothing)
     weight = charged[:, -1:]
     steps = np.array(STEPS, dtype=np.float64)
-    cost = charged[:, :-1] / np.maximum(weight, 1e-6) + STEP_COST * np.abs(steps)
+    error = charged[:, :-1] / np.maximum(weight, 1e-6)
+    still = np.maximum(error[:, STEPS.index(0)], LEAST_ERROR)[:, None]
+    cost = error / still + STEP_COST * np.abs(steps)
     best = cost.argmin(1)
     # The vertex of a parabola through the best step and its neighbours.
     middle = best.clip(1, len(steps) - 2)
@@ -173,7 +176,7 @@ class _Judge:
         ]
 
     def errors(self, mesh: Mesh, sources: Sequence[Sequence[int]]) -> list[Tensor]:
-        """Per view, mean absolute colour difference of its prediction [H, W]."""
+        """Per view, root mean square difference of the photographs blended into it, [H, W]."""
         depths = [
             look(mesh, camera).depth * mask for camera, mask in zip(self.cameras, self.masks, strict=True)
         ]
@@ -193,7 +196,9 @@ class _Judge:
             keep=SOURCES,
         )
         trust = blend.weight / (blend.weight + HALF_TRUST)
-        return trust * (blend.colour - self.images[i]).abs().mean(0) + (1 - trust) * UNSEEN
+        # Of the single sources, not of their mean: that would gain by blurring what disagrees.
+        square = (blend.colour - self.images[i]).square().mean(0) + blend.variance
+        return trust * square.sqrt() + (1 - trust) * UNSEEN
 
     def charge(self, mesh: Mesh, errors: Sequence[Sequence[Tensor]], window: int) -> Array:
         """Charge errors to the vertices that the views see, [N, steps + 1]: sum per step, and weight.
