@@ -26,7 +26,7 @@ struct Rule {
     }
 };
 
-// depth [H, W], warps [S, 3, 4], intrinsics [S, 3, 3], and per photo texels [mip_texels, 3] and depth [h, w]
+// depth [H, W], warps [S, 3, 4], intrinsics [S, 3, 3], and per photo texels [mip_texels, 4] and depth [h, w]
 struct Arguments {
     py::array depth, warps, intrinsics;
     double focal;
@@ -61,7 +61,7 @@ struct Arguments {
             const T* depths = elements<T>(surface, "photo_depths", {any, any});
             check_size(surface.shape(0), surface.shape(1));
             const Texel* texels =
-                elements<Texel>(photos[s], "photos", {mip_texels(surface.shape(0), surface.shape(1)), 3});
+                elements<Texel>(photos[s], "photos", {mip_texels(surface.shape(0), surface.shape(1)), 4});
             blending.photos.push_back({texels, depths, static_cast<int32_t>(surface.shape(0)),
                                        static_cast<int32_t>(surface.shape(1)), warp + 12 * s, K + 9 * s});
         }

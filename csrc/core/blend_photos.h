@@ -9,7 +9,7 @@ namespace nmbg {
 // A source. T is float or double; Texel is uint8_t, of which 255 means 1, or T.
 template <class T, class Texel>
 struct Photo {
-    const Texel* texels;    // mip chain: per level, finest first, [height, width, 3]
+    const Texel* texels;    // mip chain: per level, finest first, [height, width, 4]; the fourth is not read
     const T* depth;         // [height, width] view-space z of the surface, 0 where none may be shown
     int32_t height, width;  // of the finest level
     const T* warp;  // [3, 4] = [B | c]: pixel (x, y) of the new view at depth z → z B (x, y, 1) + c here

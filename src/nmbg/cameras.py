@@ -95,7 +95,7 @@ class Camera:
             [N, 3] in the dtype of `points`; computed in float64, so that far-away origins lose nothing.
         """
         P = torch.from_numpy(self.projection).to(points.device)
-        return (points.double() @ P[:, :3].T + P[:, 3]).to(points.dtype)
+        return torch.addmm(P[:, 3], points.double(), P[:, :3].T).to(points.dtype)
 
     def warp_to(self, other: Camera) -> Array:
         """[B | c], [3, 4] float64: pixel (x, y) at depth z lies at z·B·(x, y, 1) + c in the other camera."""

@@ -1,3 +1,4 @@
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -6,9 +7,10 @@ import pytest
 import torch
 
 from nmbg.cameras import Camera
-from nmbg.model.photographs import Photographs, count_features
+from nmbg.model.photographs import Gathered, Photographs, count_features
 from nmbg.model.renderer import Renderer
 from nmbg.scene import Scene, View
+from nmbg.sight import look
 from nmbg.training.config import PRESETS
 from nmbg.training.start import mean_colours
 
@@ -22,12 +24,18 @@ def grey(camera: Camera) -> torch.Tensor:
     return torch.full((3, camera.height, camera.width), 0.5)
 
 
+def grey_mesh(scene: Scene) -> Callable[[Camera], tuple[torch.Tensor, torch.Tensor]]:
+    return lambda camera: (grey(camera), look(scene.mesh, camera).depth)
+
+
+def gather(photographs: Photographs, camera: Camera, without: str | None = None) -> Gathered:
+    return photographs.gather(camera, *grey_mesh(photographs.scene)(camera), without)
+
+
 def test_photographs_mend_a_grey_mesh(scene: Scene) -> None:
     """The second training view, itself left out, over a mesh of one grey."""
     view = scene.train[1]
-    gathered = Photographs(scene, scene.train, grey, sources=3).gather(
-        view.camera, grey(view.camera), view.name
-    )
+    gathered = gather(Photographs(scene, scene.train, grey_mesh(scene), sources=3), view.camera, view.name)
     photo = torch.from_numpy(scene.load_image(view)).permute(2, 0, 1) / 255
     seen = gathered.trust > 0.5
     assert seen.sum() > 1000
@@ -37,13 +45,26 @@ def test_photographs_mend_a_grey_mesh(scene: Scene) -> None:
 
 def test_a_photograph_that_is_not_left_out_shows_itself(scene: Scene) -> None:
     view = scene.train[1]
-    photographs = Photographs(scene, scene.train, grey, sources=1)
-    gathered = photographs.gather(view.camera, grey(view.camera))
+    photographs = Photographs(scene, scene.train, grey_mesh(scene), sources=1)
+    gathered = gather(photographs, view.camera)
     photo = torch.from_numpy(scene.load_image(view)).permute(2, 0, 1) / 255
     sure = gathered.score > 0.9
     assert sure.float().mean() > 0.3
     # Residuals are kept in 8 bits over a range of 2, images in float16.
     assert (gathered.blended() - photo).abs()[:, sure].max() < 0.01
+
+
+def test_blended_over_the_mesh_is_what_was_gathered(scene: Scene) -> None:
+    """Up to the rounding to float16; also where no photograph sees the mesh, and with none at all."""
+    camera = scene.test[0].camera
+    base, depth = torch.rand(3, camera.height, camera.width), look(scene.mesh, camera).depth
+    photographs = Photographs(scene, scene.train[:1], grey_mesh(scene), sources=3)
+    for without in (None, scene.train[0].name):
+        gathered, blended = (f(camera, base, depth, without) for f in (photographs.gather, photographs.over))
+        assert (gathered.trust == 0).any()
+        torch.testing.assert_close(blended, gathered.blended(), rtol=0, atol=2e-3)
+        exposed = photographs.exposure(camera, without).apply(base)
+        assert torch.equal(blended[:, gathered.trust == 0], exposed[:, gathered.trust == 0])
 
 
 def test_left_out_means_unused(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,8 +78,8 @@ def test_left_out_means_unused(scene: Scene, monkeypatch: pytest.MonkeyPatch) ->
             return np.zeros_like(image) if asked.name == black else image  # type: ignore[attr-defined]
 
         monkeypatch.setattr(Scene, "load_image", painted)
-        photographs = Photographs(scene, scene.train, grey, sources=3)
-        return photographs.gather(view.camera, grey(view.camera), view.name).blended()
+        photographs = Photographs(scene, scene.train, grey_mesh(scene), sources=3)
+        return gather(photographs, view.camera, view.name).blended()
 
     assert torch.equal(gathered(""), gathered(view.name))
     assert not torch.equal(gathered(""), gathered(other.name))
@@ -70,9 +91,9 @@ def test_where_no_photograph_looks_the_mesh_shows(scene: Scene) -> None:
     camera = replace(
         camera, R=np.diag([1.0, -1, -1]) @ view.camera.R, t=np.diag([1.0, -1, -1]) @ view.camera.t
     )
-    photographs = Photographs(scene, scene.train, grey, sources=3)
+    photographs = Photographs(scene, scene.train, grey_mesh(scene), sources=3)
     base = torch.rand(3, camera.height, camera.width)
-    gathered = photographs.gather(camera, base)
+    gathered = photographs.gather(camera, base, look(scene.mesh, camera).depth)
     unseen = gathered.trust == 0
     exposed = photographs.exposure(camera).apply(base)
     assert torch.equal(gathered.blended()[:, unseen], exposed.half().float()[:, unseen])
@@ -81,8 +102,8 @@ def test_where_no_photograph_looks_the_mesh_shows(scene: Scene) -> None:
 
 def test_one_photograph_left_out_of_one_leaves_the_mesh(scene: Scene) -> None:
     view = scene.train[0]
-    photographs = Photographs(scene, scene.train[:1], grey, sources=2)
-    gathered = photographs.gather(view.camera, grey(view.camera), view.name)
+    photographs = Photographs(scene, scene.train[:1], grey_mesh(scene), sources=2)
+    gathered = gather(photographs, view.camera, view.name)
     assert torch.equal(gathered.blended(), grey(view.camera))
     assert gathered.features().shape == (count_features(2), view.camera.height, view.camera.width)
 
@@ -99,7 +120,7 @@ def test_a_view_is_exposed_as_the_photographs_around_it(
         )
 
     monkeypatch.setattr(Scene, "load_image", plain)
-    photographs = Photographs(scene, scene.train, grey, 3)
+    photographs = Photographs(scene, scene.train, grey_mesh(scene), 3)
     nothing = torch.full((3, 48, 64), 0.5)
     for view, level in ((scene.train[1], 120), (scene.train[-2], 130)):
         shown = photographs.exposure(view.camera, view.name).apply(nothing)
@@ -110,9 +131,9 @@ def test_a_small_cache_gives_the_same_picture(scene: Scene) -> None:
     camera = scene.test[0].camera
     pictures = []
     for cache in (4.0, 1e-9):
-        photographs = Photographs(scene, scene.train, grey, 3, cache_gib=cache)
-        photographs.gather(scene.train[3].camera, grey(scene.train[3].camera))
-        pictures.append(photographs.gather(camera, grey(camera)).blended())
+        photographs = Photographs(scene, scene.train, grey_mesh(scene), 3, cache_gib=cache)
+        gather(photographs, scene.train[3].camera)
+        pictures.append(gather(photographs, camera).blended())
     assert torch.equal(*pictures)
 
 
@@ -122,8 +143,8 @@ def test_masked_pixels_are_never_shown(scene: Scene, monkeypatch: pytest.MonkeyP
         Scene, "load_mask", lambda self, view: np.zeros((view.camera.height, view.camera.width), bool)
     )
     camera = scene.test[0].camera
-    photographs = Photographs(scene, scene.train, grey, 3)
-    assert torch.equal(photographs.gather(camera, grey(camera)).blended(), grey(camera))
+    photographs = Photographs(scene, scene.train, grey_mesh(scene), 3)
+    assert torch.equal(gather(photographs, camera).blended(), grey(camera))
 
 
 def test_the_network_starts_as_the_plain_blend(scene: Scene) -> None:

@@ -175,7 +175,7 @@ def blend(index: int | None = None, value=None, **options):
         torch.eye(3, 4).expand(2, 3, 4),
         torch.eye(3).expand(2, 3, 3),
         1.0,
-        [torch.ones(6 + 2 + 1, 3)] * 2,
+        [torch.ones(6 + 2 + 1, 4)] * 2,
         [torch.ones(2, 3)] * 2,
     ]
     if index is not None:
@@ -229,8 +229,8 @@ BAD = {
     "photo of double": (blend(4, lambda x: [x[0].double(), x[1]]), "photos: .*float32.*float64"),
     "bytes, then floats": (blend(4, lambda x: [x[0].byte(), x[1]]), "photos: .*uint8.*float32"),
     "floats, then bytes": (blend(4, lambda x: [x[0], x[1].byte()]), "photos: .*float32.*uint8"),
-    "photo of 8 texels": (blend(4, lambda x: [x[0], x[1][:8]]), r"photos: .*\[9, 3\].*\[8, 3\]"),
-    "photo of 4 channels": (blend(4, lambda x: [x[0], torch.ones(9, 4)]), r"photos: .*\[9, 4\]"),
+    "photo of 8 texels": (blend(4, lambda x: [x[0], x[1][:8]]), r"photos: .*\[9, 4\].*\[8, 4\]"),
+    "photo of 3 channels": (blend(4, lambda x: [x[0], torch.ones(9, 3)]), r"photos: .*\[9, 3\]"),
     "photo as an image": (blend(4, lambda x: [x[0], torch.ones(2, 3, 3)]), r"photos: .*\[2, 3, 3\]"),
     "one depth too few": (blend(5, lambda x: x[:1]), "photo_depths: expected 2, .*got 1"),
     "one depth too many": (blend(5, lambda x: x + x[:1]), "photo_depths: expected 2, .*got 3"),

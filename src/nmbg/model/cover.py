@@ -69,10 +69,10 @@ class SourceCover:
         """Surface points on a grid over a view, [P, 3] float64, where its depth [H, W] is not 0."""
         rows = torch.linspace(0.5, camera.height - 0.5, GRID).long()
         columns = torch.linspace(0.5, camera.width - 0.5, GRID).long()
-        z = depth[rows[:, None], columns].double()
-        rays = camera.rays(torch.float64)[rows[:, None], columns]
-        distance = z / (rays @ torch.from_numpy(camera.axis))
-        return torch.from_numpy(camera.centre) + (rays * distance[..., None])[z > 0]
+        z = depth[rows[:, None], columns].double().flatten()
+        pixel = torch.cartesian_prod(rows, columns).flip(1).double() + 0.5
+        ray = F.pad(pixel, (0, 1), value=1.0) @ torch.from_numpy(camera.R.T @ np.linalg.inv(camera.K)).T
+        return torch.from_numpy(camera.centre) + (z[:, None] * ray)[z > 0]
 
     def choose(
         self, camera: Camera, depth: Tensor, most: int, per_point: int, left_out: Sequence[int] = ()

@@ -6,6 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from nmbg.cameras import Camera
 from nmbg.model.config import ModelConfig
 from nmbg.model.fragments import LayerFragments, LevelFragments
 from nmbg.ops import shade_faces, shade_points
@@ -53,12 +54,12 @@ class Descriptors(nn.Module):
         images = []
         device, whole = rows.device, rows.shape[2] == self.config.features
         if level.index is not None and level.weight is not None and whole:
-            rays = level.camera.rays().to(device)
+            rays = self._rays(level.camera).to(device)
             images.append(shade_points(level.index.to(device), level.weight.to(device), rays, rows))
         if level.face is not None and level.bary is not None:
             s = self.config.supersample
             height, width = level.face.shape
-            rays = level.camera.resized(width, height).rays().to(device)
+            rays = self._rays(level.camera.resized(width, height)).to(device)
             face = level.face.to(device)
             image = shade_faces(face, level.bary.to(device), faces.to(device), rays, rows)
             # Faces come first: the colour skip reads the first three channels.
@@ -66,6 +67,10 @@ class Descriptors(nn.Module):
         if self.config.mask_channel and whole:
             images.append(self._mask(level, device))
         return torch.cat(images) if len(images) > 1 else images[0]
+
+    def _rays(self, camera: Camera) -> Tensor:
+        """Directions for the harmonics, [H, W, 3]; zeros for the only one of degree 0, which needs none."""
+        return camera.rays() if self.config.degree else torch.zeros(camera.height, camera.width, 3)
 
     def _mask(self, level: LevelFragments, device: torch.device) -> Tensor:
         index = level.face if level.face is not None else level.index

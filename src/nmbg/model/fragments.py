@@ -10,7 +10,7 @@ from torch import Tensor
 from nmbg.cameras import Camera
 from nmbg.mesh import Mesh
 from nmbg.model.config import ModelConfig
-from nmbg.ops import rasterize_faces, rasterize_points
+from nmbg.ops import face_depth, rasterize_faces, rasterize_points
 
 
 @dataclass(frozen=True)
@@ -46,6 +46,18 @@ class LayerFragments:
     faces: Tensor
     levels: list[LevelFragments]
 
+    def depth(self, mesh: Mesh) -> Tensor:
+        """View-space z of the faces that the finest level shows, [H, W] float32; 0 where none.
+
+        Args:
+            mesh: the layer's geometry.
+        """
+        finest = self.levels[0]
+        assert finest.face is not None
+        assert finest.bary is not None
+        h = finest.camera.project(torch.from_numpy(mesh.vertices)[self.vertices])
+        return face_depth(finest.face, finest.bary, self.faces, h)
+
     @property
     def nbytes(self) -> int:
         """Memory held, bytes."""
@@ -55,13 +67,15 @@ class LayerFragments:
         return sum(t.nbytes for t in tensors)
 
 
-def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig) -> LayerFragments:
+def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig, compact: bool = True) -> LayerFragments:
     """Rasterize one layer for the pyramid of a camera.
 
     Args:
         mesh: the layer's geometry.
         camera: the view; 2^(levels − 1) divides its size.
         config: what to rasterize, and how.
+        compact: drop what no level shows; without it the whole layer counts as shown, which is quicker for
+            fragments that are shaded once.
     """
     vertices, faces = torch.from_numpy(mesh.vertices), torch.from_numpy(mesh.faces)
     radius = config.radius_px(camera.width, camera.height)
@@ -77,7 +91,9 @@ def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig) -> LayerFra
             fine = view.resized(s * view.width, s * view.height)
             face, bary = rasterize_faces(fine.project(vertices), faces, fine.height, fine.width)
         levels.append(LevelFragments(view, index, weight, face, bary))
-    return _compact(levels, faces, len(mesh.vertices))
+    if not compact:
+        return LayerFragments(torch.arange(len(vertices)), faces, levels)
+    return _compact(levels, faces, len(vertices))
 
 
 def _compact(levels: list[LevelFragments], faces: Tensor, n_vertices: int) -> LayerFragments:

@@ -19,9 +19,8 @@ from torch import Tensor
 from nmbg.cameras import Camera
 from nmbg.model.cover import SourceCover
 from nmbg.model.exposure import Exposure, fit_exposure, mean_exposure, neighbours
-from nmbg.ops import blend_photos, mip_chain
+from nmbg.ops import Blend, blend_photos, mip_chain
 from nmbg.scene import Scene, View
-from nmbg.sight import look
 
 # A view is blended from this many photographs at most: with twenty, one capture gained 0.04 dB.
 CANDIDATES = 14
@@ -84,6 +83,10 @@ def count_features(sources: int) -> int:
     return 3 + 3 + 3 * sources + sources + 2
 
 
+def _trust(weight: Tensor) -> Tensor:
+    return weight / (weight + HALF_TRUST)
+
+
 class Source(NamedTuple):
     """A photograph ready to be blended.
 
@@ -104,7 +107,8 @@ class Photographs:
     Args:
         scene: gives photographs and geometry; must not be changed.
         views: which photographs.
-        colour: camera → colour on the mesh, [3, H, W], that residuals are taken from.
+        mesh: camera → what it sees of the mesh: colour [3, H, W], that residuals are taken from, and
+            view-space z [H, W], 0 where the mesh is not seen; float32.
         sources: K, photographs blended in a pixel.
         cache_gib: memory for prepared photographs, GiB; the least recently used are prepared anew.
     """
@@ -113,47 +117,62 @@ class Photographs:
         self,
         scene: Scene,
         views: Sequence[View],
-        colour: Callable[[Camera], Tensor],
+        mesh: Callable[[Camera], tuple[Tensor, Tensor]],
         sources: int,
         cache_gib: float = 4.0,
     ) -> None:
-        self.scene, self.views, self.colour, self.sources = scene, tuple(views), colour, sources
+        self.scene, self.views, self.mesh, self.sources = scene, tuple(views), mesh, sources
         self._limit = int(cache_gib * GIB)
         self._held = 0
         self._cache: OrderedDict[int, Source] = OrderedDict()
         self._cover: SourceCover | None = None
 
-    def gather(self, camera: Camera, base: Tensor, without: str | None = None) -> Gathered:
-        """Blend the photographs into a view.
+    def over(self, camera: Camera, base: Tensor, depth: Tensor, without: str | None = None) -> Tensor:
+        """The mesh with the photographs blended over it, as Gathered.blended() but not rounded.
 
         Args:
             camera: the view.
-            base: [3, H, W] colour on the mesh in this view.
+            base: [3, H, W] float32 colour on the mesh in this view.
+            depth: [H, W] float32 view-space z of the mesh in this view, 0 where it is not seen.
             without: name of a photograph that must not be among the sources.
+
+        Returns:
+            [3, H, W] float32.
         """
-        depth = look(self.scene.mesh, camera).depth
+        blend = self._blend(camera, depth, without, each=False)
+        # Texels hold ½ + residual / 2. Where no photograph sees the point, there is no trust.
+        colour = torch.addcmul(base, blend.colour.mul_(2).sub_(1), _trust(blend.weight))
+        return self.exposure(camera, without).apply(colour)
+
+    def gather(self, camera: Camera, base: Tensor, depth: Tensor, without: str | None = None) -> Gathered:
+        """What a network needs to blend the photographs into a view; arguments as for over()."""
+        blend = self._blend(camera, depth, without, each=True)
+        trust = _trust(blend.weight)
         exposure = self.exposure(camera, without)
-        base = exposure.apply(base)
-        chosen = self.candidates(camera, depth, without)
-        if not chosen:
-            return self._nothing(base)
-        texels, surfaces, _ = zip(*(self._source(i) for i in chosen), strict=True)
-        cameras = [self.views[i].camera for i in chosen]
-        blend = blend_photos(
-            depth,
-            torch.from_numpy(np.stack([camera.warp_to(other) for other in cameras])).float(),
-            torch.from_numpy(np.stack([other.K for other in cameras])).float(),
-            float(camera.K[0, 0]),
-            texels,
-            surfaces,
-            keep=self.sources,
-            each=True,
-        )
-        trust = blend.weight / (blend.weight + HALF_TRUST)
-        # Texels hold ½ + residual / 2; a source that is not there shows 0 and must stay 0.
-        residuals = exposure.gain * (2 * blend.shown - 1) * (blend.weights > 0)[:, None] * trust
+        # A source that is not there shows 0 and must stay 0.
+        residuals = blend.shown.mul_(2).sub_(1).mul_((blend.weights > 0)[:, None] * trust)
         return Gathered(
-            base.half(), residuals.half(), blend.weights.half(), trust.half(), blend.weight.half()
+            exposure.apply(base).half(),
+            (exposure.gain * residuals).half(),
+            blend.weights.half(),
+            trust.half(),
+            blend.weight.half(),
+        )
+
+    def _blend(self, camera: Camera, depth: Tensor, without: str | None, each: bool) -> Blend:
+        chosen = self.candidates(camera, depth, without)
+        sources = [self._source(i) for i in chosen]
+        cameras = [self.views[i].camera for i in chosen]
+        warps = [camera.warp_to(other) for other in cameras]
+        return blend_photos(
+            depth,
+            torch.from_numpy(np.array(warps).reshape(-1, 3, 4)).float(),
+            torch.from_numpy(np.array([other.K for other in cameras]).reshape(-1, 3, 3)).float(),
+            float(camera.K[0, 0]),
+            [source.texels for source in sources],
+            [source.depth for source in sources],
+            keep=self.sources,
+            each=each,
         )
 
     def candidates(self, camera: Camera, depth: Tensor, without: str | None = None) -> list[int]:
@@ -170,11 +189,6 @@ class Photographs:
         near, weights = neighbours(camera.centre, centres)
         return mean_exposure([self._source(others[i]).exposure for i in near], weights)
 
-    def _nothing(self, base: Tensor) -> Gathered:
-        size = tuple(base.shape[1:])
-        zeros = torch.zeros(self.sources, 4, *size, dtype=torch.float16)
-        return Gathered(base.half(), zeros[:, :3], zeros[:, 3], zeros[0, 3], zeros[0, 3])
-
     def _source(self, i: int) -> Source:
         if i in self._cache:
             self._cache.move_to_end(i)
@@ -189,10 +203,10 @@ class Photographs:
 
     def _prepare(self, view: View) -> Source:
         image = torch.from_numpy(self.scene.load_image(view)).permute(2, 0, 1) / 255
-        colour, sight = self.colour(view.camera), look(self.scene.mesh, view.camera)
+        colour, depth = self.mesh(view.camera)
         mask = self.scene.load_mask(view)
-        keep = torch.ones_like(sight.covered) if mask is None else torch.from_numpy(mask)
-        exposure = fit_exposure(image, colour, sight.covered & keep)
+        keep = torch.ones_like(depth, dtype=torch.bool) if mask is None else torch.from_numpy(mask)
+        exposure = fit_exposure(image, colour, keep & (depth > 0))
         residual = (exposure.undo(image) - colour).permute(1, 2, 0)
         texels = ((0.5 + residual / 2).clamp(0, 1) * 255).round().to(torch.uint8)
-        return Source(mip_chain(texels, keep), sight.depth * keep, exposure)
+        return Source(mip_chain(texels, keep), depth * keep, exposure)

@@ -18,9 +18,11 @@ from nmbg.model.fragments import LayerFragments, rasterize_layer
 from nmbg.model.photographs import Gathered, Photographs, count_features
 from nmbg.model.unet import UNet
 from nmbg.scene import Scene, View
+from nmbg.sight import look
 
-# What a renderer turns into an image: fragments to be shaded, or what mesh and photographs show already.
-Prepared = list[LayerFragments] | Gathered
+# What a renderer turns into an image: fragments to shade, or what mesh and photographs show already; apart
+# for a network, else as one image.
+Prepared = list[LayerFragments] | Gathered | Tensor
 # Per layer, vertices [V] int64 and their coefficients [V, B, 3], colours in [0, 1].
 Recolouring = Sequence[tuple[Tensor, Tensor]]
 
@@ -69,7 +71,7 @@ class Renderer(nn.Module):
 
     def remember(self, scene: Scene, views: Sequence[View]) -> None:
         """Blend these photographs of the scene over the mesh from now on."""
-        self.photographs = Photographs(scene, views, self._colour_on_mesh, self.config.sources)
+        self.photographs = Photographs(scene, views, self._mesh, self.config.sources)
 
     def see(
         self, camera: Camera, without: str | None = None, other_colours: Recolouring | None = None
@@ -86,8 +88,9 @@ class Renderer(nn.Module):
         padded = camera.padded(2 ** (self.config.levels - 1))
         # Photographs are prepared outside: their residuals must not depend on which view needed them first.
         with self._recoloured(other_colours or []):
-            base = self._colour_on_mesh(padded)
-        return self.photographs.gather(padded, base, without)
+            base, depth = self._mesh(padded)
+        blend = self.photographs.over if self.network is None else self.photographs.gather
+        return blend(padded, base, depth, without)
 
     @contextmanager
     def _recoloured(self, parts: Recolouring) -> Iterator[None]:
@@ -104,8 +107,14 @@ class Renderer(nn.Module):
                 table[seen] = old
 
     @torch.no_grad()
-    def _colour_on_mesh(self, camera: Camera) -> Tensor:
-        return self.colour(self.rasterize(camera), camera).cpu()
+    def _mesh(self, camera: Camera) -> tuple[Tensor, Tensor]:
+        """Colour [3, H, W] and depth [H, W] of the one layer that photographs are blended over."""
+        (mesh,) = self.layers
+        fragments = [rasterize_layer(mesh, camera, self.config, compact=False)]
+        # Where samples are averaged, none of them stands at a pixel's centre.
+        single = self.config.supersample == 1
+        depth = fragments[0].depth(mesh) if single else look(mesh, camera).depth
+        return self.colour(fragments, camera).cpu(), depth
 
     def rasterize(self, camera: Camera) -> list[LayerFragments]:
         """What `camera` sees of each layer, padded so that the pyramid's sizes are whole."""
@@ -122,7 +131,9 @@ class Renderer(nn.Module):
     def forward(self, sight: Prepared, camera: Camera) -> Tensor:
         """Render what `see(camera)` gave, [3, H, W], about [0, 1] but not clamped."""
         if isinstance(sight, Gathered):
-            return self._fuse(sight)[:, : camera.height, : camera.width]
+            sight = self._fuse(sight)
+        if isinstance(sight, Tensor):
+            return sight[:, : camera.height, : camera.width]
         if self.network is None:
             return self.colour(sight, camera)
         fragments = sight
@@ -138,10 +149,9 @@ class Renderer(nn.Module):
         return image[0, :, : camera.height, : camera.width].float() + 0.5
 
     def _fuse(self, gathered: Gathered) -> Tensor:
-        """Mesh and photographs as one image; a network re-weights the photographs and adds to them."""
+        """Mesh and photographs as one image; the network re-weights the photographs and adds to them."""
+        assert self.network is not None
         gathered = gathered.to(self._descriptors[0].coeffs.device)
-        if self.network is None:
-            return gathered.blended()
         pyramid = [gathered.features()[None].to(memory_format=torch.channels_last)]
         while len(pyramid) < self.config.levels:
             pyramid.append(F.avg_pool2d(pyramid[-1], 2))

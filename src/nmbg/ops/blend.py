@@ -225,7 +225,7 @@ def blend_photos(
     warps: Tensor,  # [S, 3, 4]
     intrinsics: Tensor,  # [S, 3, 3]
     focal: float,
-    photos: Sequence[Tensor],  # S × [texels, 3]
+    photos: Sequence[Tensor],  # S × [texels, 4]
     photo_depths: Sequence[Tensor],  # S × [h, w]
     keep: int = 5,
     angle: float = 0.1,
@@ -249,8 +249,8 @@ def blend_photos(
             z·B·(x, y, 1) + c in the source's camera: B = R_s Rᵀ K⁻¹, c = R_s C + t_s.
         intrinsics: [S, 3, 3] in the dtype of `depth`, upper triangular, pixels.
         focal: of the new view, pixels.
-        photos: a mip chain (`mip_chain`) per source, [texels, 3]; all uint8, shown as [0, 1], or all in the
-            dtype of `depth`. Sizes may differ.
+        photos: a mip chain (`mip_chain`) per source, [texels, 4]; all uint8, shown as [0, 1], or all in the
+            dtype of `depth`. The fourth value is not read. Sizes may differ.
         photo_depths: per source, [h, w] in the dtype of `depth`: view-space z of the surface that it sees, 0
             where it sees none or its pixels do not count.
         keep: sources blended in a pixel, 1 to 15.
@@ -290,7 +290,7 @@ def mip_chain(image: Tensor, mask: Tensor | None = None) -> Tensor:
         mask: [h, w] bool, true where the photograph counts: smaller copies average only that.
 
     Returns:
-        [texels, 3] in the dtype of `image`.
+        [texels, 4] in the dtype of `image`: three colours and a 0, so that four bytes are read at once.
     """
     weight = torch.ones(1, 1, *image.shape[:2]) if mask is None else mask[None, None].float()
     level = image.permute(2, 0, 1)[None].to(weight.dtype if image.dtype == torch.uint8 else image.dtype)
@@ -305,4 +305,4 @@ def mip_chain(image: Tensor, mask: Tensor | None = None) -> Tensor:
         weight = (total > 0).to(level.dtype)
         texels = level[0].permute(1, 2, 0).reshape(-1, 3)
         chain.append(texels.round().to(torch.uint8) if image.dtype == torch.uint8 else texels)
-    return torch.cat(chain)
+    return F.pad(torch.cat(chain), (0, 1))

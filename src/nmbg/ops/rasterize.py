@@ -166,6 +166,8 @@ def face_depth(
     h: Tensor,  # [N, 3]
 ) -> Tensor:  # [H, W]
     """View-space depth z of the faces that rasterize_faces() found, [H, W], 0 where none; differentiable."""
-    seen = face >= 0
-    z = h[:, 2][faces[face[seen].long()].long()]  # [S, 3]
-    return bary.new_zeros(face.shape).masked_scatter(seen, (bary[seen] * z).sum(-1))
+    seen, rows = (face >= 0).flatten().nonzero()[:, 0], face.flatten()
+    corners = faces.index_select(0, rows.index_select(0, seen))  # [S, 3]
+    z = h[:, 2].index_select(0, corners.flatten()).view(-1, 3)
+    depth = (bary.reshape(-1, 3).index_select(0, seen) * z).sum(-1)
+    return bary.new_zeros(face.numel()).index_copy(0, seen, depth).view(face.shape)

@@ -197,7 +197,8 @@ def blend_photos(
     each: bool = False,
 ) -> Blend:
     """See nmbg.ops.blend_photos()."""
-    texels, first_texel = _joined(photos, 3, depth)
+    texels, first_texel = _joined(photos, 4, depth)
+    texels = texels[:, :3]
     surfaces, first_surface = _joined(photo_depths, 1, depth)
     sizes = torch.tensor([surface.shape for surface in photo_depths], dtype=torch.int64, device=depth.device)
     height, width = sizes.reshape(-1, 2)[:, :, None, None].unbind(1)
