@@ -1,4 +1,4 @@
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,14 +28,14 @@ def grey_mesh(scene: Scene) -> Callable[[Camera], tuple[torch.Tensor, torch.Tens
     return lambda camera: (grey(camera), look(scene.mesh, camera).depth)
 
 
-def gather(photographs: Photographs, camera: Camera, without: str | None = None) -> Gathered:
+def gather(photographs: Photographs, camera: Camera, without: Set[str] = frozenset()) -> Gathered:
     return photographs.gather(camera, *grey_mesh(photographs.scene)(camera), without)
 
 
 def test_photographs_mend_a_grey_mesh(scene: Scene) -> None:
     """The second training view, itself left out, over a mesh of one grey."""
     view = scene.train[1]
-    gathered = gather(Photographs(scene, scene.train, grey_mesh(scene), sources=3), view.camera, view.name)
+    gathered = gather(Photographs(scene, scene.train, grey_mesh(scene), sources=3), view.camera, {view.name})
     photo = torch.from_numpy(scene.load_image(view)).permute(2, 0, 1) / 255
     seen = gathered.trust > 0.5
     assert seen.sum() > 1000
@@ -59,7 +59,7 @@ def test_blended_over_the_mesh_is_what_was_gathered(scene: Scene) -> None:
     camera = scene.test[0].camera
     base, depth = torch.rand(3, camera.height, camera.width), look(scene.mesh, camera).depth
     photographs = Photographs(scene, scene.train[:1], grey_mesh(scene), sources=3)
-    for without in (None, scene.train[0].name):
+    for without in (frozenset(), {scene.train[0].name}):
         gathered, blended = (f(camera, base, depth, without) for f in (photographs.gather, photographs.over))
         assert (gathered.trust == 0).any()
         torch.testing.assert_close(blended, gathered.blended(), rtol=0, atol=2e-3)
@@ -79,7 +79,7 @@ def test_left_out_means_unused(scene: Scene, monkeypatch: pytest.MonkeyPatch) ->
 
         monkeypatch.setattr(Scene, "load_image", painted)
         photographs = Photographs(scene, scene.train, grey_mesh(scene), sources=3)
-        return gather(photographs, view.camera, view.name).blended()
+        return gather(photographs, view.camera, {view.name}).blended()
 
     assert torch.equal(gathered(""), gathered(view.name))
     assert not torch.equal(gathered(""), gathered(other.name))
@@ -103,7 +103,7 @@ def test_where_no_photograph_looks_the_mesh_shows(scene: Scene) -> None:
 def test_one_photograph_left_out_of_one_leaves_the_mesh(scene: Scene) -> None:
     view = scene.train[0]
     photographs = Photographs(scene, scene.train[:1], grey_mesh(scene), sources=2)
-    gathered = gather(photographs, view.camera, view.name)
+    gathered = gather(photographs, view.camera, {view.name})
     assert torch.equal(gathered.blended(), grey(view.camera))
     assert gathered.features().shape == (count_features(2), view.camera.height, view.camera.width)
 
@@ -123,7 +123,7 @@ def test_a_view_is_exposed_as_the_photographs_around_it(
     photographs = Photographs(scene, scene.train, grey_mesh(scene), 3)
     nothing = torch.full((3, 48, 64), 0.5)
     for view, level in ((scene.train[1], 120), (scene.train[-2], 130)):
-        shown = photographs.exposure(view.camera, view.name).apply(nothing)
+        shown = photographs.exposure(view.camera, {view.name}).apply(nothing)
         torch.testing.assert_close(shown, torch.full_like(shown, level / 255), atol=2.5 / 255, rtol=0)
 
 

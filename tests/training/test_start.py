@@ -68,18 +68,25 @@ def test_unseen_vertices_keep_their_mean(scene_folder: Path) -> None:
     assert torch.equal(fitted[:, 1:], torch.zeros_like(fitted[:, 1:]))
 
 
-def test_a_view_taken_out_was_never_there(scene_folder: Path) -> None:
-    """Taking out one view's sums gives the fit of the others, but for vertices that it alone sees."""
+def test_a_fold_left_out_was_never_there(scene_folder: Path) -> None:
+    """Leaving out a fold gives the fit of the others, but for vertices that it alone sees."""
     scene = Scene.load(scene_folder)
-    out, *others = scene.train
-    fit = ColourFit([scene.mesh], scene, scene.train, 4)
-    ((vertices, coeffs),) = fit.without(out)
+    folds = 3
+    fit = ColourFit([scene.mesh], scene, scene.train, 4, folds)
+    others = [view for i, view in enumerate(scene.train) if i % folds != 1]
+    assert {fit.fold_of(view) for view in others} == {0, 2}
     rest = ColourFit([scene.mesh], scene, others, 4)
-    (expected,) = rest.coefficients()
-    weight = rest._sums[0][vertices, 0, 0]
-    shared, alone = weight > 0.02, weight == 0
-    assert shared.any()
+    (coeffs,), (expected,) = fit.coefficients(without=1), rest.coefficients()
+    seen_by_others = rest._sums[0][0, :, 0, 0] > 0
+    alone = ~seen_by_others & (fit._sums[0][1, :, 0, 0] > 0)
+    assert seen_by_others.any()
     assert alone.any()
-    torch.testing.assert_close(coeffs[shared], expected[vertices[shared]], atol=2e-2, rtol=2e-2)
+    torch.testing.assert_close(coeffs[seen_by_others], expected[seen_by_others], atol=1e-4, rtol=1e-4)
     assert torch.equal(coeffs[alone], coeffs[alone][:1].expand_as(coeffs[alone]))
-    assert not torch.allclose(coeffs, fit.coefficients()[0][vertices], atol=1e-3)
+    assert not torch.allclose(coeffs, fit.coefficients()[0], atol=1e-3)
+
+
+def test_folds_do_not_change_the_fit_of_all(scene_folder: Path) -> None:
+    scene = Scene.load(scene_folder)
+    (whole,), (folded,) = (ColourFit([scene.mesh], scene, scene.train, 4, n).coefficients() for n in (1, 3))
+    torch.testing.assert_close(whole, folded, atol=1e-4, rtol=1e-4)

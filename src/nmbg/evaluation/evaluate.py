@@ -103,7 +103,7 @@ def evaluate(
         names = bar.track(_names(views), description="rendering")
         for i, (view, name) in enumerate(zip(views, names, strict=True)):
             start = time.perf_counter()
-            render = run.renderer.render(view.camera, without=view.name)
+            render = run.renderer.render(view.camera, without={view.name})
             seconds = time.perf_counter() - start
             estimate, target = _masked(scene, view, _to_bytes(render, view))
             measured = {m.name: m.compute(_to_tensor(estimate), _to_tensor(target)) for m in measures}

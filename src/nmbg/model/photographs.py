@@ -8,8 +8,9 @@ surface the mesh's colour remains. The whole is exposed as the photographs aroun
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ CANDIDATES = 14
 # Score of the best source at which residuals count half: below it the mesh is trusted more.
 HALF_TRUST = 1e-4
 GIB = 2**30
+NOTHING: Set[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -125,16 +127,26 @@ class Photographs:
         self._limit = int(cache_gib * GIB)
         self._held = 0
         self._cache: OrderedDict[int, Source] = OrderedDict()
-        self._cover: SourceCover | None = None
 
-    def over(self, camera: Camera, base: Tensor, depth: Tensor, without: str | None = None) -> Tensor:
+    @cached_property
+    def cover(self) -> SourceCover:
+        """What decides which photographs a view is blended from."""
+        return SourceCover(self.scene.mesh, [view.camera for view in self.views])
+
+    def recoloured(self, mesh: Callable[[Camera], tuple[Tensor, Tensor]], share: float) -> Photographs:
+        """The same photographs over other colours of the same mesh, with a share of the memory."""
+        other = Photographs(self.scene, self.views, mesh, self.sources, share * self._limit / GIB)
+        other.cover = self.cover
+        return other
+
+    def over(self, camera: Camera, base: Tensor, depth: Tensor, without: Set[str] = NOTHING) -> Tensor:
         """The mesh with the photographs blended over it, as Gathered.blended() but not rounded.
 
         Args:
             camera: the view.
             base: [3, H, W] float32 colour on the mesh in this view.
             depth: [H, W] float32 view-space z of the mesh in this view, 0 where it is not seen.
-            without: name of a photograph that must not be among the sources.
+            without: names of the photographs that must not be among the sources.
 
         Returns:
             [3, H, W] float32.
@@ -144,7 +156,7 @@ class Photographs:
         colour = torch.addcmul(base, blend.colour.mul_(2).sub_(1), _trust(blend.weight))
         return self.exposure(camera, without).apply(colour)
 
-    def gather(self, camera: Camera, base: Tensor, depth: Tensor, without: str | None = None) -> Gathered:
+    def gather(self, camera: Camera, base: Tensor, depth: Tensor, without: Set[str] = NOTHING) -> Gathered:
         """What a network needs to blend the photographs into a view; arguments as for over()."""
         blend = self._blend(camera, depth, without, each=True)
         trust = _trust(blend.weight)
@@ -159,7 +171,7 @@ class Photographs:
             blend.weight.half(),
         )
 
-    def _blend(self, camera: Camera, depth: Tensor, without: str | None, each: bool) -> Blend:
+    def _blend(self, camera: Camera, depth: Tensor, without: Set[str], each: bool) -> Blend:
         chosen = self.candidates(camera, depth, without)
         sources = [self._source(i) for i in chosen]
         cameras = [self.views[i].camera for i in chosen]
@@ -175,16 +187,14 @@ class Photographs:
             each=each,
         )
 
-    def candidates(self, camera: Camera, depth: Tensor, without: str | None = None) -> list[int]:
+    def candidates(self, camera: Camera, depth: Tensor, without: Set[str] = NOTHING) -> list[int]:
         """Indices of the photographs that together show best what a view sees, in ascending order."""
-        if self._cover is None:
-            self._cover = SourceCover(self.scene.mesh, [view.camera for view in self.views])
-        left_out = [i for i, view in enumerate(self.views) if view.name == without]
-        return self._cover.choose(camera, depth, CANDIDATES, self.sources, left_out)
+        left_out = [i for i, view in enumerate(self.views) if view.name in without]
+        return self.cover.choose(camera, depth, CANDIDATES, self.sources, left_out)
 
-    def exposure(self, camera: Camera, without: str | None = None) -> Exposure:
+    def exposure(self, camera: Camera, without: Set[str] = NOTHING) -> Exposure:
         """How a view is exposed: as the photographs around it."""
-        others = [i for i, view in enumerate(self.views) if view.name != without]
+        others = [i for i, view in enumerate(self.views) if view.name not in without]
         centres = np.array([self.views[i].camera.centre for i in others]).reshape(-1, 3)
         near, weights = neighbours(camera.centre, centres)
         return mean_exposure([self._source(others[i]).exposure for i in near], weights)

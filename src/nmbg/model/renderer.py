@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence, Set
 from typing import cast
 
 import torch
@@ -15,7 +14,7 @@ from nmbg.mesh import Mesh
 from nmbg.model.config import ModelConfig
 from nmbg.model.descriptors import SH_CONSTANT, Descriptors
 from nmbg.model.fragments import LayerFragments, rasterize_layer
-from nmbg.model.photographs import Gathered, Photographs, count_features
+from nmbg.model.photographs import NOTHING, Gathered, Photographs, count_features
 from nmbg.model.unet import UNet
 from nmbg.scene import Scene, View
 from nmbg.sight import look
@@ -23,8 +22,6 @@ from nmbg.sight import look
 # What a renderer turns into an image: fragments to shade, or what mesh and photographs show already; apart
 # for a network, else as one image.
 Prepared = list[LayerFragments] | Gathered | Tensor
-# Per layer, vertices [V] int64 and their coefficients [V, B, 3], colours in [0, 1].
-Recolouring = Sequence[tuple[Tensor, Tensor]]
 
 
 class Renderer(nn.Module):
@@ -71,43 +68,27 @@ class Renderer(nn.Module):
 
     def remember(self, scene: Scene, views: Sequence[View]) -> None:
         """Blend these photographs of the scene over the mesh from now on."""
-        self.photographs = Photographs(scene, views, self._mesh, self.config.sources)
+        self.photographs = Photographs(scene, views, self.on_mesh, self.config.sources)
 
-    def see(
-        self, camera: Camera, without: str | None = None, other_colours: Recolouring | None = None
-    ) -> Prepared:
+    def see(self, camera: Camera, without: Set[str] = NOTHING) -> Prepared:
         """What forward() needs of a view.
 
         Args:
             camera: the view.
-            without: name of a photograph that must not be blended in.
-            other_colours: colours on the mesh that hold for this view alone; with photographs only.
+            without: names of the photographs that must not be blended in.
         """
         if self.photographs is None:
             return self.rasterize(camera)
-        padded = camera.padded(2 ** (self.config.levels - 1))
-        # Photographs are prepared outside: their residuals must not depend on which view needed them first.
-        with self._recoloured(other_colours or []):
-            base, depth = self._mesh(padded)
+        padded = self.padded(camera)
         blend = self.photographs.over if self.network is None else self.photographs.gather
-        return blend(padded, base, depth, without)
+        return blend(padded, *self.on_mesh(padded), without)
 
-    @contextmanager
-    def _recoloured(self, parts: Recolouring) -> Iterator[None]:
-        """Give vertices other colours for a while."""
-        tables = [d.coeffs.data for d, _ in zip(self._descriptors, parts, strict=False)]
-        rows = [vertices.to(table.device) for table, (vertices, _) in zip(tables, parts, strict=True)]
-        kept = [table[seen] for table, seen in zip(tables, rows, strict=True)]
-        try:
-            for table, seen, (vertices, coeffs) in zip(tables, rows, parts, strict=True):
-                table[seen] = _centred(coeffs).reshape(len(vertices), -1).to(table)
-            yield
-        finally:
-            for table, seen, old in zip(tables, rows, kept, strict=True):
-                table[seen] = old
+    def padded(self, camera: Camera) -> Camera:
+        """The view extended so that the pyramid's sizes are whole."""
+        return camera.padded(2 ** (self.config.levels - 1))
 
     @torch.no_grad()
-    def _mesh(self, camera: Camera) -> tuple[Tensor, Tensor]:
+    def on_mesh(self, camera: Camera) -> tuple[Tensor, Tensor]:
         """Colour [3, H, W] and depth [H, W] of the one layer that photographs are blended over."""
         (mesh,) = self.layers
         fragments = [rasterize_layer(mesh, camera, self.config, compact=False)]
@@ -117,9 +98,8 @@ class Renderer(nn.Module):
         return self.colour(fragments, camera).cpu(), depth
 
     def rasterize(self, camera: Camera) -> list[LayerFragments]:
-        """What `camera` sees of each layer, padded so that the pyramid's sizes are whole."""
-        padded = camera.padded(2 ** (self.config.levels - 1))
-        return [rasterize_layer(mesh, padded, self.config) for mesh in self.layers]
+        """What `camera` sees of each layer, padded."""
+        return [rasterize_layer(mesh, self.padded(camera), self.config) for mesh in self.layers]
 
     def colour(self, fragments: list[LayerFragments], camera: Camera) -> Tensor:
         """The colour on the mesh without the network, [3, H, W]; the foreground hides the background."""
@@ -176,12 +156,13 @@ class Renderer(nn.Module):
         return image
 
     @torch.no_grad()
-    def render(self, camera: Camera, without: str | None = None) -> Tensor:
+    def render(self, camera: Camera, without: Set[str] = NOTHING) -> Tensor:
         """A new view, [3, H, W] float32 in [0, 1] on the CPU; any camera, any size.
 
         Args:
             camera: the view.
-            without: name of a photograph that must not be blended in: the one this view is compared with.
+            without: names of the photographs that must not be blended in, as the one this view is compared
+                with.
         """
         training = self.training
         self.eval()

@@ -16,8 +16,6 @@ from nmbg.scene import Scene, View
 
 # Ridge relative to a vertex's weight: degree 0; degrees ≥ 1, which stay small where few directions were seen.
 RIDGE = (1e-4, 0.02)
-# Others see a vertex when they give it this share of the weight that the view left out gives.
-LEAST_SHARE = 1e-3
 
 
 def mean_colours(layers: Sequence[Mesh]) -> list[Tensor]:
@@ -29,14 +27,15 @@ class ColourFit:
     """Least-squares harmonics of the colours that views show at each vertex.
 
     Every pixel is an observation of its face's three vertices, weighted by the barycentrics; per vertex the
-    normal equations (Σ Y Yᵀ + ridge) c = Σ Y colour are summed over the views and solved. Sums can be taken
-    out again, which gives what the other views alone would have given.
+    normal equations (Σ Y Yᵀ + ridge) c = Σ Y colour are summed over the views and solved. The sums are kept
+    in folds, view i in fold i modulo their number, so that any fold can be left out.
 
     Args:
         layers: meshes.
         scene: gives the photographs.
         views: which of them.
         bases: (degree + 1)².
+        folds: how many.
         ridge: for degree 0 and for degrees ≥ 1.
     """
 
@@ -46,39 +45,38 @@ class ColourFit:
         scene: Scene,
         views: Sequence[View],
         bases: int,
+        folds: int = 1,
         ridge: tuple[float, float] = RIDGE,
     ) -> None:
-        self.layers, self.scene, self.bases, self.ridge = layers, scene, bases, ridge
-        self._sums = [torch.zeros(len(mesh.vertices), bases, bases + 3) for mesh in layers]
+        self.layers, self.scene, self.bases, self.folds, self.ridge = layers, scene, bases, folds, ridge
+        self._fold = {view.name: i % folds for i, view in enumerate(views)}
+        self._sums = [torch.zeros(folds, len(mesh.vertices), bases, bases + 3) for mesh in layers]
         with progress_bar() as bar:
             for view in bar.track(views, description="fitting colours"):
-                for total, mesh in zip(self._sums, layers, strict=True):
-                    vertices, sums = self._observe(mesh, view)
-                    total.index_add_(0, vertices, sums)
+                for sums, mesh in zip(self._sums, layers, strict=True):
+                    vertices, observed = self._observe(mesh, view)
+                    sums[self.fold_of(view)].index_add_(0, vertices, observed)
 
-    def coefficients(self) -> list[Tensor]:
-        """Per layer, [N, bases, 3] float32; a vertex that no view sees keeps the mesh's colour."""
-        return [
-            _solve(sums, own, self.ridge)
-            for sums, own in zip(self._sums, mean_colours(self.layers), strict=True)
-        ]
+    def fold_of(self, view: View) -> int:
+        """The fold that one of the views is in."""
+        return self._fold[view.name]
 
-    def without(self, view: View) -> list[tuple[Tensor, Tensor]]:
-        """What the fit would be without one of its views, where that view sees anything.
+    def coefficients(self, without: int | None = None) -> list[Tensor]:
+        """Fitted harmonics per layer, [N, bases, 3] float32.
 
-        Returns:
-            per layer, vertices [V] int64 and their coefficients [V, bases, 3] float32. A vertex that this
-            view alone sees takes the mean of all: its own colour would tell what the view shows.
+        Args:
+            without: fold to leave out. A vertex that it alone sees takes the mean of all: the mesh's own
+                colour would tell what the fold shows. One that no view sees keeps the mesh's colour.
         """
-        left = []
-        for sums, mesh, own in zip(self._sums, self.layers, mean_colours(self.layers), strict=True):
-            vertices, share = self._observe(mesh, view)
-            # What rounding leaves of a weight that only this view gave is no observation.
-            others = sums[vertices] - share
-            others[others[:, 0, 0] < LEAST_SHARE * share[:, 0, 0]] = 0
-            mean = own.mean(0, keepdim=True).expand(len(vertices), 1, 3)
-            left.append((vertices, _solve(others, mean, self.ridge)))
-        return left
+        fitted = []
+        for sums, own in zip(self._sums, mean_colours(self.layers), strict=True):
+            kept = [fold for fold in range(len(sums)) if fold != without]
+            otherwise = own
+            if without is not None:
+                told = sums[without, :, :1, :1] > 0
+                otherwise = torch.where(told, own.mean(0, keepdim=True), own)
+            fitted.append(_solve(sums[kept].sum(0), otherwise, self.ridge))
+        return fitted
 
     def _observe(self, mesh: Mesh, view: View) -> tuple[Tensor, Tensor]:
         """Vertices [V] that a view sees, and its sums Σ Y_b · (Y, colour) there, [V, bases, bases + 3]."""

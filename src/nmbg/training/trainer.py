@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +25,7 @@ from nmbg.training import checkpoint
 from nmbg.training.budget import Budget, Clock
 from nmbg.training.checkpoint import Progress
 from nmbg.training.config import Stage, TrainConfig
+from nmbg.training.left_out import FOLDS, LeftOut
 from nmbg.training.log import Log
 from nmbg.training.optimiser import Optimiser
 from nmbg.training.start import ColourFit, mean_colours
@@ -190,8 +191,10 @@ def _fit_colours(scene: Scene, config: TrainConfig, renderer: Renderer) -> Colou
     """The closed-form start. What leaves each view out anyway may use those kept aside too."""
     if config.start != "fit":
         return None
-    views = scene.train if _leaves_out(config) else _split(scene, config)[0]
-    return ColourFit(renderer.layers, scene, views, config.model.bases)
+    if not _leaves_out(config):
+        return ColourFit(renderer.layers, scene, _split(scene, config)[0], config.model.bases)
+    folds = min(FOLDS, len(scene.train))
+    return ColourFit(renderer.layers, scene, scene.train, config.model.bases, folds)
 
 
 def _views(
@@ -202,11 +205,10 @@ def _views(
     def rasterized(camera: Camera, view: View) -> Prepared:
         return renderer.rasterize(camera)
 
-    def left_out(camera: Camera, view: View) -> Prepared:
+    see: Callable[[Camera, View], Prepared] = rasterized
+    if _leaves_out(config):
         assert fit is not None  # ModelConfig and the presets: photographs stand on a fitted mesh
-        return renderer.see(camera, without=view.name, other_colours=fit.without(view))
-
-    see = left_out if _leaves_out(config) else rasterized
+        see = LeftOut(renderer, fit).see
     training, aside = _split(scene, config)
     whole = config.zoom == 1 and (config.window == 1 or _leaves_out(config))
     cache = config.cache_gib if whole else 0.0

@@ -1,0 +1,42 @@
+"""What a network learns from: training views as the other photographs show them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from nmbg.cameras import Camera
+from nmbg.model.photographs import Gathered, Photographs
+from nmbg.model.renderer import Renderer
+from nmbg.scene import View
+from nmbg.training.start import ColourFit
+
+# More folds leave more of the views in each fit; every fold prepares the photographs anew.
+FOLDS = 4
+
+
+class LeftOut:
+    """Training views without their own photograph, which is neither blended nor in the colours on the mesh.
+
+    The colours, and with them the residuals of all photographs, are fitted once per fold of views, without
+    it; a view is seen over those of its fold. What the network sees then errs as it will on new views.
+
+    Args:
+        renderer: gives geometry and photographs.
+        fit: colours of the training views in folds.
+    """
+
+    def __init__(self, renderer: Renderer, fit: ColourFit) -> None:
+        assert renderer.photographs is not None
+        self.padded, self.fit = renderer.padded, fit
+        self.meshes: list[Renderer] = []
+        self.photographs: list[Photographs] = []
+        for fold in range(fit.folds):
+            mesh = Renderer(replace(renderer.config, widths=()), renderer.layers)
+            mesh.set_colours(fit.coefficients(without=fold))
+            self.meshes.append(mesh)
+            self.photographs.append(renderer.photographs.recoloured(mesh.on_mesh, 1 / fit.folds))
+
+    def see(self, camera: Camera, view: View) -> Gathered:
+        """What mesh and other photographs show of a training view."""
+        fold, padded = self.fit.fold_of(view), self.padded(camera)
+        return self.photographs[fold].gather(padded, *self.meshes[fold].on_mesh(padded), {view.name})
