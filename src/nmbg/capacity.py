@@ -2,32 +2,48 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal
 
 import torch
 
+from nmbg.model.config import ModelConfig
 from nmbg.model.cover import SourceCover, greedy_cover
+from nmbg.model.renderer import Renderer
 from nmbg.progress import progress_bar
 from nmbg.scene import Scene, View
 from nmbg.sight import look
+from nmbg.training.start import mean_colours
 
-# Photographs are added while each adds this share to what the ones before cover.
-WORTH = 5e-4
+# What leaving out photographs may cost the views that judge, dB.
+COST = 0.05
+# So many training views judge, spread over the capture.
+JUDGES = 16
 
 
-def choose_photographs(scene: Scene, wish: int | Literal["auto", "all"], per_point: int) -> tuple[View, ...]:
+def choose_photographs(
+    scene: Scene, wish: int | Literal["auto", "all"], model: ModelConfig
+) -> tuple[View, ...]:
     """The training photographs to keep, greedily by what each adds to how well the others' views are covered.
 
     Args:
         scene: the scene.
-        wish: how many at most; "auto": while they add something; "all".
-        per_point: photographs that are blended in a pixel.
+        wish: how many at most; "auto": as many as predict training views, which are themselves left out, as
+            well as all do; "all".
+        model: that blends them.
 
     Returns:
         a part of scene.train, in its order.
     """
     if wish == "all" or wish == len(scene.train):
         return scene.train
+    order = _by_worth(scene, model.sources)
+    kept = {view.name for view in order[: _enough(scene, order, model) if wish == "auto" else wish]}
+    return tuple(view for view in scene.train if view.name in kept)
+
+
+def _by_worth(scene: Scene, per_point: int) -> list[View]:
+    """Training views, what adds most to the others' coverage first."""
     cameras = [view.camera for view in scene.train]
     cover = SourceCover(scene.mesh, cameras)
     scores = []
@@ -38,6 +54,39 @@ def choose_photographs(scene: Scene, wish: int | Literal["auto", "all"], per_poi
             seen = cover.scores(points, torch.from_numpy(camera.centre)).float()
             seen[i] = 0  # a view must be covered by the others
             scores.append(seen)
-    most, least = (len(cameras), WORTH) if wish == "auto" else (wish, 0.0)
-    chosen = greedy_cover(torch.cat(scores, 1), most, per_point, least)
-    return tuple(scene.train[i] for i in chosen)
+    chosen = greedy_cover(torch.cat(scores, 1), len(cameras), per_point)
+    # Those that add nothing come last.
+    chosen += sorted(set(range(len(cameras))) - set(chosen))
+    return [scene.train[i] for i in chosen]
+
+
+def _enough(scene: Scene, order: list[View], model: ModelConfig) -> int:
+    """The least number of the first photographs that costs the judges no more than COST."""
+    renderer = Renderer(replace(model, degree=0, widths=(), supersample=1), [scene.mesh])
+    renderer.set_colours(mean_colours(renderer.layers))
+    renderer.remember(scene, scene.train)
+    n = min(JUDGES, len(scene.train))
+    judges = [scene.train[int((i + 0.5) * len(scene.train) / n)] for i in range(n)]
+
+    def psnr(count: int) -> float:
+        dropped = {view.name for view in scene.train} - {view.name for view in order[:count]}
+        total = 0.0
+        for view in judges:
+            image = renderer.render(view.camera, without=dropped | {view.name})
+            error = (image - torch.from_numpy(scene.load_image(view)).permute(2, 0, 1) / 255).square().mean(0)
+            mask = scene.load_mask(view)
+            if mask is not None:
+                error = error[torch.from_numpy(mask)]
+            total -= 10 * float(torch.log10(error.mean().clamp(min=1e-10)))
+        return total / n
+
+    # Fewer photographs show less: the number is found by halving.
+    too_few, enough = 0, len(order)
+    wanted = psnr(enough) - COST
+    with progress_bar() as bar:
+        task = bar.add_task("photographs needed", total=enough.bit_length())
+        while enough - too_few > 1:
+            middle = (too_few + enough) // 2
+            too_few, enough = (too_few, middle) if psnr(middle) >= wanted else (middle, enough)
+            bar.advance(task)
+    return enough

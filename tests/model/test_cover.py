@@ -22,7 +22,7 @@ def test_greedy_is_near_the_best_choice(seed: int, most: int, per_point: int) ->
 
     scores = torch.rand(6, 9, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
     chosen = greedy_cover(scores, most, per_point)
-    assert chosen == sorted(set(chosen))
+    assert len(chosen) == len(set(chosen))
     assert len(chosen) <= most
     best = max(covered(scores, list(c), per_point) for c in combinations(range(6), most))
     assert covered(scores, chosen, per_point) >= (1 if most == 1 else 0.63) * best - 1e-9

@@ -92,20 +92,19 @@ class SourceCover:
         points = self.points(camera, depth)
         scores = self.scores(points, torch.from_numpy(camera.centre))
         scores[list(left_out)] = 0
-        return greedy_cover(scores, most, per_point)
+        return sorted(greedy_cover(scores, most, per_point))
 
 
-def greedy_cover(scores: Tensor, most: int, per_point: int, least: float = 0.0) -> list[int]:
+def greedy_cover(scores: Tensor, most: int, per_point: int) -> list[int]:
     """Rows that add most to the sum of each column's `per_point` best.
 
     Args:
         scores: [N, P], not negative.
         most: rows to choose at most.
         per_point: scores that count in a column.
-        least: stop when a row adds no more than this share of the sum so far.
 
     Returns:
-        indices, ascending.
+        indices, what adds most first; those that add nothing are left out.
     """
     best = scores.new_zeros(per_point, scores.shape[1])
     chosen: list[int] = []
@@ -113,8 +112,8 @@ def greedy_cover(scores: Tensor, most: int, per_point: int, least: float = 0.0) 
         gain = (scores - best[-1]).clamp(min=0).sum(1)
         gain[chosen] = 0
         i = int(gain.argmax())
-        if not gain[i] > least * best.sum():
+        if not gain[i] > 0:
             break
         chosen.append(i)
         best = torch.cat([best, scores[i][None]]).sort(0, descending=True).values[:per_point]
-    return sorted(chosen)
+    return chosen

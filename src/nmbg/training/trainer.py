@@ -56,12 +56,11 @@ def train(
     """
     clock = Clock()
     perceptual = _perceptual(config, weights)
-    sources = config.model.sources
     with atomic_folder(run, overwrite) as temporary:
         if config.refine == "geometry":
             scene = replace(scene, mesh=refine_geometry(scene))
         renderer = checkpoint.build_renderer(scene, config)
-        kept = choose_photographs(scene, config.photos, sources) if sources else ()
+        kept = choose_photographs(scene, config.photos, config.model) if config.model.sources else ()
         checkpoint.save_scene(temporary, scene, kept)
         fit = _fit_colours(scene, config, renderer)
         if config.start == "mean":
