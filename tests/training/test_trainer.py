@@ -226,10 +226,16 @@ def test_a_network_learns_from_what_the_other_photographs_show(
     base: dict[str, torch.Tensor] = {}
     black = ""
 
-    def spy(self: Photographs, camera: Camera, on_mesh: torch.Tensor, without: str | None = None) -> Gathered:
+    def spy(
+        self: Photographs,
+        camera: Camera,
+        on_mesh: torch.Tensor,
+        depth: torch.Tensor,
+        without: str | None = None,
+    ) -> Gathered:
         assert without is not None
         base[without] = on_mesh
-        found = gather(self, camera, on_mesh, without)
+        found = gather(self, camera, on_mesh, depth, without)
         prepared = {self.views[i].name for i in self._cache}
         assert prepared
         assert without not in prepared
