@@ -9,6 +9,7 @@ import numpy as np
 from torch import Tensor
 
 from nmbg.mesh import Mesh, empty_mesh, merge
+from nmbg.ops import mip_chain
 from nmbg.reconstruct.completion import close_holes
 from nmbg.reconstruct.gallery import Gallery
 from nmbg.reconstruct.prediction import predict
@@ -89,15 +90,16 @@ def score(gallery: Gallery, judged: Sequence[int], backgrounds: Mapping[str, Mes
     needed = sorted({*judged, *(j for some in sources.values() for j in some)})
     place = {i: k for k, i in enumerate(needed)}
     bare = gallery.part(needed)
+    texels = [mip_chain(bare.view(k)[1], bare.view(k)[2]) for k in range(len(bare))]
     out = {}
     for name, background in backgrounds.items():
         hung = bare.before([look(background, c) for c in bare.cameras])
         psnr = []
         for i in judged:
-            camera, truth, inside, depth = hung.view(place[i])
+            _, truth, inside, _ = hung.view(place[i])
             others = [place[j] for j in sources[i]]
-            image, known = predict(camera, depth, hung.part(others))
-            image[~known] = _mean_without_surface(bare.part(others))
+            image, known = predict(hung, place[i], others, texels)
+            image[known == 0] = _mean_without_surface(bare.part(others))
             error = (image - truth.float())[inside].square().mean()
             psnr.append(-10 * np.log10(max(error.item(), 1e-6) / 255**2))
         out[name] = float(np.mean(psnr))

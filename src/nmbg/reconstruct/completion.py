@@ -127,8 +127,10 @@ def _swept(grid: Camera, node: Tensor, seen: Tensor, needed: Tensor, own: int, g
     free = moved > 0
     alike = gallery.part([own, *gallery.most_alike(own, SWEEP_VIEWS)])
     factors = torch.tensor(SWEEP, dtype=torch.float64)
-    points = np.concatenate([unproject(grid, node * factor)[free.numpy()] for factor in SWEEP])
-    judges, difference, in_front = _judge(torch.from_numpy(points), 0, alike)
+    centre = torch.from_numpy(grid.centre)
+    offset = torch.from_numpy(unproject(grid, node))[free] - centre
+    points = centre + factors[:, None, None] * offset
+    judges, difference, in_front = _judge(points.flatten(0, 1), 0, alike)
     # One vote of doubt: what nobody sees costs what photographs cost that barely agree.
     cost = ((difference.clamp(max=2 * SAME_COLOUR) * judges).sum(0) + SAME_COLOUR) / (judges.sum(0) + 1)
     cost[in_front] = 2 * SAME_COLOUR
