@@ -82,13 +82,13 @@ def _lanczos(rows: Tensor, n: int) -> Tensor:
     step = len(rows) / n
     wider = max(1.0, step)
     out = []
-    for block in (torch.arange(n, dtype=torch.float64) + 0.5).mul(step).split(BLOCK):
+    for block in torch.split((torch.arange(n, dtype=torch.float64) + 0.5) * step, BLOCK):
         first = max(0, int(block[0] - LOBES * wider))
         end = min(len(rows), int(block[-1] + LOBES * wider) + 1)
         x = (torch.arange(first, end) + 0.5 - block[:, None]) / wider
         weight = torch.where(x.abs() < LOBES, torch.sinc(x) * torch.sinc(x / LOBES), 0.0)
         out.append((weight / weight.sum(1, keepdim=True)).float() @ flat[first:end])
-    return torch.cat(out).unflatten(1, rows.shape[1:])
+    return torch.cat(out).reshape(n, *rows.shape[1:])
 
 
 def undistort(image: Image, lens: pycolmap.Camera) -> Image:

@@ -8,7 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nmbg.ops import blend_photos
+from nmbg.cameras import Camera
+from nmbg.mesh import Mesh
+from nmbg.ops import blend_photos, rasterize_faces
 from nmbg.reconstruct.gallery import Gallery
 
 
@@ -38,6 +40,17 @@ def predict(
         [_seen(gallery, j) for j in sources],
     )
     return 255 * blend.colour.permute(1, 2, 0), blend.weight
+
+
+def shade(mesh: Mesh, camera: Camera) -> Tensor:
+    """The colours of a mesh as a camera sees them, [H, W, 3] float32 of 255; 0 where it sees none."""
+    if not len(mesh.faces):
+        return torch.zeros(camera.height, camera.width, 3)
+    faces = torch.from_numpy(mesh.faces)
+    h = camera.project(torch.from_numpy(mesh.vertices))
+    face, bary = rasterize_faces(h, faces, camera.height, camera.width)
+    corners = torch.from_numpy(mesh.colours)[faces[face.clamp(min=0).long()].long()]
+    return (bary[..., None] * corners).sum(-2) * (face >= 0)[..., None]
 
 
 def _seen(gallery: Gallery, i: int) -> Tensor:

@@ -71,7 +71,7 @@ def _hull_radius(points: Floats, directions: Floats) -> Floats:
     The hull is cut out by the planes that touch it from the given directions. A segment between two of its
     points stays inside, so nothing outside can hide from a camera in the hull what lies in the hull.
     """
-    chunks = torch.from_numpy(points.astype(np.float32)).split(16384)
+    chunks = torch.split(torch.from_numpy(points.astype(np.float32)), 16384)
     normals = torch.from_numpy(directions.astype(np.float32))
     support = torch.stack([(normals @ chunk.T).amax(1) for chunk in chunks]).amax(0).double().numpy()
     cosine = directions @ directions.T
