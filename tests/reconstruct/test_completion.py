@@ -215,7 +215,7 @@ def test_the_walls_of_a_room_are_closed_from_inside() -> None:
     middle = room.vertices[room.faces].mean(1)
     known = drop_unused(room, ~((np.abs(middle[:, 2]) > 3.99) & (np.abs(middle[:, :2]).max(1) < 0.9)))
     views = []
-    for angle in np.arange(12) * 2 * np.pi / 12:
+    for angle in np.arange(16) * 2 * np.pi / 16:
         c, s = np.cos(angle), np.sin(angle)
         rotation = np.array([[c, 0, -s], [0, 1.0, 0], [s, 0, c]])
         views.append(Camera(camera(0).K, rotation, -rotation @ np.array([0.8 * s, 0, 0.8 * c]), 96, 72))
