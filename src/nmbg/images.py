@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import OpenImageIO as oiio
+import torch
+from torch import Tensor
 
 from nmbg.colmap import pycolmap
 from nmbg.errors import NmbgError
@@ -16,6 +18,10 @@ Image = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
 
 SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".exr", ".heic"})
+# Zero crossings of the Lanczos window to each side.
+LOBES = 3
+# Output rows that are resampled by one matrix product.
+BLOCK = 32
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -64,9 +70,25 @@ def resize(image: Image, width: int, height: int) -> Image:
     """Resample [H, W, C] with a Lanczos filter that widens with the reduction; image borders stay borders."""
     if image.shape[:2] == (height, width):
         return image
-    roi = oiio.ROI(0, width, 0, height, 0, 1, 0, image.shape[2])
-    out = oiio.ImageBufAlgo.resize(oiio.ImageBuf(image), filtername="lanczos3", roi=roi, nthreads=1)
-    return np.asarray(out.get_pixels(oiio.UINT8), dtype=np.uint8)
+    upright = _lanczos(torch.from_numpy(image).float(), height)
+    out = _lanczos(upright.transpose(0, 1), width).transpose(0, 1)
+    resized: Image = out.round().clamp(0, 255).byte().contiguous().numpy()
+    return resized
+
+
+def _lanczos(rows: Tensor, n: int) -> Tensor:
+    """Resample [N, M, C] along the first axis to [n, M, C]: matrix products over the band of weights."""
+    flat = rows.flatten(1)
+    step = len(rows) / n
+    wider = max(1.0, step)
+    out = []
+    for block in torch.split((torch.arange(n, dtype=torch.float64) + 0.5) * step, BLOCK):
+        first = max(0, int(block[0] - LOBES * wider))
+        end = min(len(rows), int(block[-1] + LOBES * wider) + 1)
+        x = (torch.arange(first, end) + 0.5 - block[:, None]) / wider
+        weight = torch.where(x.abs() < LOBES, torch.sinc(x) * torch.sinc(x / LOBES), 0.0)
+        out.append((weight / weight.sum(1, keepdim=True)).float() @ flat[first:end])
+    return torch.cat(out).reshape(n, *rows.shape[1:])
 
 
 def undistort(image: Image, lens: pycolmap.Camera) -> Image:

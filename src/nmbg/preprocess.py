@@ -191,8 +191,10 @@ def _assemble(
         },
         "layers": {"chosen": layers, "why": layers_why},
     }
-    coloured_mesh = Mesh(whole.vertices, whole.faces, _colours(scene, len(mesh.vertices) if coloured else 0))
-    return replace(scene, mesh=coloured_mesh, layers=layers, summary=summary)
+    # The background comes in colours.
+    has_colour = np.arange(len(whole.vertices)) >= (0 if coloured else len(mesh.vertices))
+    painted = replace(whole, colours=_colours(scene, has_colour))
+    return replace(scene, mesh=painted, layers=layers, summary=summary)
 
 
 T = TypeVar("T")
@@ -280,16 +282,15 @@ def _coverage_summary(seen: list[ViewCoverage]) -> dict[str, dict[str, float]]:
     return {name: {"min": float(min(v)), "mean": float(np.mean(v))} for name, v in columns.items()}
 
 
-def _colours(scene: Scene, n_own: int) -> npt.NDArray[np.uint8]:
-    """Mean observed colours; unseen, the first `n_own` vertices keep theirs, others ask around."""
+def _colours(scene: Scene, coloured: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
+    """Mean observed colours; unseen, vertices that are `coloured` [N] keep theirs, others ask around."""
     photographs = (
         (view.camera, scene.load_image(view), scene.load_mask(view))
         for view in _tracked(scene.train, "colours")
     )
     mesh = scene.mesh
     colours, known = mean_vertex_colours(mesh, photographs)
-    own = ~known
-    own[n_own:] = False
+    own = ~known & coloured
     colours[own] = mesh.colours[own]
     return spread(colours, known | own, mesh.faces).round().clip(0, 255).astype(np.uint8)
 

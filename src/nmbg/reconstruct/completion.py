@@ -2,9 +2,9 @@
 
 In every training view the depth of pixels without a surface is filled from around, far sides first (what
 shows through a hole lies behind); a coarse grid of it is moved along the rays to where the photographs agree
-best, and becomes a patch. What another view still contradicts is left out: where it sees a surface behind the
-patch, or where it shows other colours. The views take turns, those with the largest holes first, and each
-fills only what mesh and earlier patches leave open, so that patches lie beside each other and not in a stack.
+best, and becomes a patch. Left out is what stands in front of a surface that another view sees, and what
+turns its back to a camera close by. The views take turns, those with the largest holes first, and each fills
+only what mesh and earlier patches leave open, so that patches lie beside each other and not in a stack.
 """
 
 from __future__ import annotations
@@ -32,10 +32,8 @@ JUMP = 1.3
 IN_FRONT = 0.05
 # A view that sees a surface nearer than the patch by more than this share of its depth cannot judge colours.
 HIDDEN = 0.02
-# Photographs agree while their colours (means over a cell, of 255) differ by less than this.
+# Photographs barely agree where their colours (means over a cell, of 255) differ by this.
 SAME_COLOUR = 25
-# Share of the views that see a node of a patch which must agree about its colour.
-AGREEING = 0.5
 # Depths that are tried, as factors of the filled one, from nearer to further: 17 steps of a tenth.
 SWEEP = tuple(math.exp(0.1 * step) for step in range(-4, 13))
 # What a step costs, against differences of colours (of 255) per factor e; 30 does as well within 0.05 dB.
@@ -127,8 +125,10 @@ def _swept(grid: Camera, node: Tensor, seen: Tensor, needed: Tensor, own: int, g
     free = moved > 0
     alike = gallery.part([own, *gallery.most_alike(own, SWEEP_VIEWS)])
     factors = torch.tensor(SWEEP, dtype=torch.float64)
-    points = np.concatenate([unproject(grid, node * factor)[free.numpy()] for factor in SWEEP])
-    judges, difference, in_front = _judge(torch.from_numpy(points), 0, alike)
+    centre = torch.from_numpy(grid.centre)
+    offset = torch.from_numpy(unproject(grid, node))[free] - centre
+    points = centre + factors[:, None, None] * offset
+    judges, difference, in_front = _judge(points.flatten(0, 1), 0, alike)
     # One vote of doubt: what nobody sees costs what photographs cost that barely agree.
     cost = ((difference.clamp(max=2 * SAME_COLOUR) * judges).sum(0) + SAME_COLOUR) / (judges.sum(0) + 1)
     cost[in_front] = 2 * SAME_COLOUR
@@ -166,10 +166,25 @@ def _patch(grid: Camera, node: Tensor, needed: Tensor) -> Mesh:
 
 def _undisputed(patch: Mesh, own: int, gallery: Gallery) -> Mesh:
     """The patch of one view without the vertices that other views contradict."""
-    judges, difference, in_front = _judge(torch.from_numpy(patch.vertices), own, gallery)
-    agreeing = (judges & (difference < SAME_COLOUR)).sum(0)
-    keep = ~in_front & (agreeing >= AGREEING * judges.sum(0))
+    points = torch.from_numpy(patch.vertices)
+    _, _, in_front = _judge(points, own, gallery)
+    keep = ~in_front & ~_turned_away(points, own, gallery)
     return drop_unused(patch, keep[torch.from_numpy(patch.faces).long()].all(1).numpy())
+
+
+def _turned_away(points: Tensor, own: int, gallery: Gallery) -> Tensor:
+    """Whether points [N, 3] of one view's patch turn their back to a camera that is nearer than the own one.
+
+    Only a camera that does not look at them counts. It contradicts nothing, but a camera beside it that does
+    look would see the back of a patch and nothing else.
+    """
+    centres = torch.from_numpy(np.stack([camera.centre for camera in gallery.cameras])).float()
+    to_camera = centres[:, None] - points
+    distance = to_camera.norm(dim=-1)
+    behind = (to_camera * to_camera[own]).sum(-1) < 0
+    unseen = ~gallery.look_up(points).inside
+    turned: Tensor = (behind & unseen & (distance < distance[own])).any(0)
+    return turned
 
 
 def _judge(points: Tensor, own: int, gallery: Gallery) -> tuple[Tensor, Tensor, Tensor]:

@@ -2,49 +2,58 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from nmbg.cameras import Camera
-from nmbg.reconstruct.depths import unproject
+from nmbg.mesh import Mesh
+from nmbg.ops import blend_photos, rasterize_faces
 from nmbg.reconstruct.gallery import Gallery
 
-# A photograph that sees a surface nearer than the point by more than this share of its depth shows another.
-HIDDEN = 0.02
-# Angle between two rays at which the weight of a photograph has fallen to 1/e, radians.
-ANGLE = 0.05
 
-
-def predict(camera: Camera, depth: Tensor, sources: Gallery) -> tuple[Tensor, Tensor]:
-    """Blend what other photographs show of the surface that a camera sees.
+def predict(
+    gallery: Gallery, i: int, sources: Sequence[int], texels: Sequence[Tensor]
+) -> tuple[Tensor, Tensor]:
+    """Blend what other photographs show of the surface that a view sees, as the renderer blends them.
 
     Args:
-        camera: of the new view.
-        depth: [H, W] view-space z of the surface, infinite where there is none.
-        sources: photographs with the depth of the same geometry.
+        gallery: views with the depth of the geometry to be judged.
+        i: the view to be predicted; h × w pixels.
+        sources: the views that are blended.
+        texels: mip chain (`mip_chain`) of every view's photograph, uint8.
 
     Returns:
-        colour [H, W, 3] float32 of 255, and known [H, W] bool: whether a source shows the point (else 0).
+        colour [h, w, 3] float32 of 255, and the score [h, w] float32 of the best source: 0 where none shows
+        the point, and the colour is 0 too.
     """
-    surface = depth.isfinite()
-    image, known = torch.zeros(*depth.shape, 3), torch.zeros_like(surface)
-    points = torch.from_numpy(unproject(camera, torch.where(surface, depth, 1.0)))[surface]
-    found = sources.look_up(points)
-    own = F.normalize(points - torch.from_numpy(camera.centre), dim=-1)
-    centres = torch.from_numpy(np.stack([source.centre for source in sources.cameras]))
-    theirs = F.normalize(points - centres[:, None], dim=-1)
-    angle = (theirs * own).sum(-1).clamp(-1, 1).acos().float()
-    # Nearest angles first, however large: far shells are seen under all of them.
-    nearest = torch.where(found.visible(HIDDEN), angle, torch.inf).amin(0)
-    weight = torch.where(found.visible(HIDDEN), torch.exp((nearest - angle) / ANGLE), 0.0)
-    height, width = sources.depth.shape[1:]
-    grid = (2 * found.uv / torch.tensor([width, height]) - 1).float()
-    fetched = F.grid_sample(
-        sources.images.permute(0, 3, 1, 2).float(), grid[:, None], padding_mode="border", align_corners=False
-    )[:, :, 0].permute(0, 2, 1)
-    total = weight.sum(0)
-    image[surface] = (weight[..., None] * fetched).sum(0) / total.clamp(min=1e-12)[:, None]
-    known[surface] = total > 0
-    return image, known
+    camera = gallery.cameras[i]
+    others = [gallery.cameras[j] for j in sources]
+    blend = blend_photos(
+        _seen(gallery, i),
+        torch.from_numpy(np.stack([camera.warp_to(other) for other in others])).float(),
+        torch.from_numpy(np.stack([other.K for other in others])).float(),
+        float(camera.K[0, 0]),
+        [texels[j] for j in sources],
+        [_seen(gallery, j) for j in sources],
+    )
+    return 255 * blend.colour.permute(1, 2, 0), blend.weight
+
+
+def shade(mesh: Mesh, camera: Camera) -> Tensor:
+    """The colours of a mesh as a camera sees them, [H, W, 3] float32 of 255; 0 where it sees none."""
+    if not len(mesh.faces):
+        return torch.zeros(camera.height, camera.width, 3)
+    faces = torch.from_numpy(mesh.faces)
+    h = camera.project(torch.from_numpy(mesh.vertices))
+    face, bary = rasterize_faces(h, faces, camera.height, camera.width)
+    corners = torch.from_numpy(mesh.colours)[faces[face.clamp(min=0).long()].long()]
+    return (bary[..., None] * corners).sum(-2) * (face >= 0)[..., None]
+
+
+def _seen(gallery: Gallery, i: int) -> Tensor:
+    """Depth [h, w] of what a view sees, 0 where it sees nothing or is masked out."""
+    _, _, inside, depth = gallery.view(i)
+    return torch.where(inside & depth.isfinite(), depth, 0.0)

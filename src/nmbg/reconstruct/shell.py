@@ -72,8 +72,8 @@ def _hull_radius(points: Floats, directions: Floats) -> Floats:
     points stays inside, so nothing outside can hide from a camera in the hull what lies in the hull.
     """
     chunks = torch.split(torch.from_numpy(points.astype(np.float32)), 16384)
-    normals = torch.from_numpy(directions.T.astype(np.float32))
-    support = torch.stack([(chunk @ normals).amax(0) for chunk in chunks]).amax(0).double().numpy()
+    normals = torch.from_numpy(directions.astype(np.float32))
+    support = torch.stack([(normals @ chunk.T).amax(1) for chunk in chunks]).amax(0).double().numpy()
     cosine = directions @ directions.T
     reach = np.where(cosine > 1e-3, support / np.maximum(cosine, 1e-3), np.inf)
     radius: Floats = reach.min(axis=1)
