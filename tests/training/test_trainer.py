@@ -11,6 +11,7 @@ from torch import Tensor
 
 from nmbg.cameras import Camera
 from nmbg.errors import NmbgError
+from nmbg.evaluation.evaluate import evaluate
 from nmbg.images import Image, write_image
 from nmbg.model.photographs import Gathered, Photographs
 from nmbg.model.renderer import Renderer
@@ -256,3 +257,31 @@ def test_a_refined_run_keeps_its_geometry(scene_folder: Path, tmp_path: Path) ->
     assert np.array_equal(kept.faces, scene.mesh.faces)
     assert not np.array_equal(kept.vertices, scene.mesh.vertices)
     assert np.array_equal(checkpoint.load_run(run).renderer.layers[0].vertices, kept.vertices)
+
+
+def test_training_views_are_evaluated_without_their_photograph(
+    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Painting one training photograph black in the scene and the run changes its target, not its render."""
+    scene, load_image = Scene.load(scene_folder), Scene.load_image
+    config = replace(SMALL["nmbg"], iterations=0, refine="none")
+    run = train(scene, config, tmp_path / "run")
+    black = scene.train[2]
+
+    def painted(self: Scene, view: View) -> Image:
+        image = load_image(self, view)
+        return np.zeros_like(image) if view.name == black.name else image
+
+    evaluate(run, ["psnr"], split="train")
+    before = [
+        (run / "renders-train" / f"{Path(black.name).stem}{end}").read_bytes()
+        for end in (".png", ".target.png")
+    ]
+    monkeypatch.setattr(Scene, "load_image", painted)
+    evaluate(run, ["psnr"], split="train")
+    after = [
+        (run / "renders-train" / f"{Path(black.name).stem}{end}").read_bytes()
+        for end in (".png", ".target.png")
+    ]
+    assert before[0] == after[0]
+    assert before[1] != after[1]

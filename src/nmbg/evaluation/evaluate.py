@@ -6,7 +6,7 @@ import json
 import math
 import statistics
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,8 @@ from nmbg.evaluation.metrics import Metric, make_metrics
 from nmbg.images import Image, write_image
 from nmbg.progress import progress_bar
 from nmbg.scene import Scene, Split, View
-from nmbg.training.checkpoint import load_run
+from nmbg.training.checkpoint import Run, load_run
+from nmbg.training.left_out import LeftOut, fit_left_out, learns_left_out
 
 SHEET_ROWS = 16
 PROTOCOL = "full frames, estimate rounded to 8 bits, mean of the values per view"
@@ -98,12 +99,13 @@ def evaluate(
     shown = set(np.linspace(0, len(views) - 1, min(SHEET_ROWS, len(views))).round().astype(int).tolist())
     values: dict[str, dict[str, float]] = {}
     rows: list[Row] = []
-    run.renderer.render(views[0].camera)  # the first frame also pays for allocations
+    show = _shows(run, scene, split)
+    show(views[0])  # the first frame also pays for allocations
     with atomic_folder(run_folder / f"renders{suffix}", overwrite=True) as renders, progress_bar() as bar:
         names = bar.track(_names(views), description="rendering")
         for i, (view, name) in enumerate(zip(views, names, strict=True)):
             start = time.perf_counter()
-            render = run.renderer.render(view.camera, without={view.name})
+            render = show(view)
             seconds = time.perf_counter() - start
             estimate, target = _masked(scene, view, _to_bytes(render, view))
             measured = {m.name: m.compute(_to_tensor(estimate), _to_tensor(target)) for m in measures}
@@ -131,6 +133,21 @@ def evaluate(
     with atomic_file(run_folder / f"metrics{suffix}.json") as file:
         file.write_text(json.dumps(_plain(asdict(report)), indent=1, allow_nan=False) + "\n")
     return report
+
+
+def _shows(run: Run, scene: Scene, split: Split) -> Callable[[View], Tensor]:
+    """How views are rendered: without their own photograph; under a network, no colour was fitted to it."""
+    renderer = run.renderer
+    if split == "test" or not learns_left_out(run.config):
+        return lambda view: renderer.render(view.camera, without={view.name})
+    left_out = LeftOut(renderer, fit_left_out(renderer, scene))
+
+    @torch.no_grad()
+    def show(view: View) -> Tensor:
+        image: Tensor = renderer(left_out.see(view.camera, view), view.camera)
+        return image.clamp(0, 1).cpu()
+
+    return show
 
 
 def _check(scene: Scene, views: Sequence[View], measures: Sequence[Metric], split: Split) -> None:

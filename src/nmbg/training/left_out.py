@@ -7,11 +7,23 @@ from dataclasses import replace
 from nmbg.cameras import Camera
 from nmbg.model.photographs import Gathered, Photographs
 from nmbg.model.renderer import Renderer
-from nmbg.scene import View
+from nmbg.scene import Scene, View
+from nmbg.training.config import TrainConfig
 from nmbg.training.start import ColourFit
 
 # More folds leave more of the views in each fit; every fold prepares the photographs anew.
 FOLDS = 4
+
+
+def learns_left_out(config: TrainConfig) -> bool:
+    """Whether a network learns from what the other photographs show of a view."""
+    return config.model.sources > 0 and any(stage.network for stage in config.stages)
+
+
+def fit_left_out(renderer: Renderer, scene: Scene) -> ColourFit:
+    """Colours of a scene's training views on a renderer's geometry, in folds."""
+    folds = min(FOLDS, len(scene.train))
+    return ColourFit(renderer.layers, scene, scene.train, renderer.config.bases, folds)
 
 
 class LeftOut:

@@ -25,7 +25,7 @@ from nmbg.training import checkpoint
 from nmbg.training.budget import Budget, Clock
 from nmbg.training.checkpoint import Progress
 from nmbg.training.config import Stage, TrainConfig
-from nmbg.training.left_out import FOLDS, LeftOut
+from nmbg.training.left_out import LeftOut, fit_left_out, learns_left_out
 from nmbg.training.log import Log
 from nmbg.training.optimiser import Optimiser
 from nmbg.training.start import ColourFit, mean_colours
@@ -101,7 +101,7 @@ def resume(run: Path, weights: Path | None = None) -> Path:
     renderer = checkpoint.build_renderer(scene, config)
     checkpoint.load_model(found, renderer)
     checkpoint.remember_photographs(run, renderer)
-    fit = _fit_colours(scene, config, renderer) if _leaves_out(config) else None
+    fit = _fit_colours(scene, config, renderer) if learns_left_out(config) else None
     training, validation = _views(scene, config, renderer, fit)
     _fit(config, run, renderer, perceptual, training, validation, state, clock)
     return run
@@ -169,11 +169,6 @@ def _perceptual(config: TrainConfig, weights: Path | None) -> Perceptual | None:
     return Perceptual(config.perceptual, weights).to(config.device)
 
 
-def _leaves_out(config: TrainConfig) -> bool:
-    """Whether a network learns from what the other photographs show of a view."""
-    return config.model.sources > 0 and any(stage.network for stage in config.stages)
-
-
 def _split(scene: Scene, config: TrainConfig) -> tuple[tuple[View, ...], tuple[View, ...]]:
     """Training views, and those of them that are kept aside, spread evenly over the names."""
     views = scene.train
@@ -190,10 +185,9 @@ def _fit_colours(scene: Scene, config: TrainConfig, renderer: Renderer) -> Colou
     """The closed-form start. What leaves each view out anyway may use those kept aside too."""
     if config.start != "fit":
         return None
-    if not _leaves_out(config):
-        return ColourFit(renderer.layers, scene, _split(scene, config)[0], config.model.bases)
-    folds = min(FOLDS, len(scene.train))
-    return ColourFit(renderer.layers, scene, scene.train, config.model.bases, folds)
+    if learns_left_out(config):
+        return fit_left_out(renderer, scene)
+    return ColourFit(renderer.layers, scene, _split(scene, config)[0], config.model.bases)
 
 
 def _views(
@@ -205,11 +199,11 @@ def _views(
         return renderer.rasterize(camera)
 
     see: Callable[[Camera, View], Prepared] = rasterized
-    if _leaves_out(config):
+    if learns_left_out(config):
         assert fit is not None  # ModelConfig and the presets: photographs stand on a fitted mesh
         see = LeftOut(renderer, fit).see
     training, aside = _split(scene, config)
-    whole = config.zoom == 1 and (config.window == 1 or _leaves_out(config))
+    whole = config.zoom == 1 and (config.window == 1 or learns_left_out(config))
     cache = config.cache_gib if whole else 0.0
     return Views(scene, training, see, cache), Views(scene, aside, see, config.cache_gib)
 
@@ -222,7 +216,7 @@ def _draw(views: Views, config: TrainConfig, step: int) -> Example:
     if config.zoom == 1 and config.window == 1:
         return views.frame(i)
     generator.manual_seed(config.seed * 1_000_003 + step)
-    if config.zoom == 1 and _leaves_out(config):
+    if config.zoom == 1 and learns_left_out(config):
         return views.crop(i, config.window, 2 ** (config.model.levels - 1), generator)
     return views.window(i, config.window, config.zoom, generator)
 
