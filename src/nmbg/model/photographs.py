@@ -17,10 +17,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from nmbg.blending import blend_into
 from nmbg.cameras import Camera
 from nmbg.model.cover import SourceCover
 from nmbg.model.exposure import Exposure, fit_exposure, mean_exposure, neighbours
-from nmbg.ops import Blend, blend_photos, mip_chain
+from nmbg.ops import Blend, mip_chain
 from nmbg.scene import Scene, View
 
 # A view is blended from this many photographs at most: with twenty, one capture gained 0.04 dB.
@@ -174,17 +175,14 @@ class Photographs:
     def _blend(self, camera: Camera, depth: Tensor, without: Set[str], each: bool) -> Blend:
         chosen = self.candidates(camera, depth, without)
         sources = [self._source(i) for i in chosen]
-        cameras = [self.views[i].camera for i in chosen]
-        warps = [camera.warp_to(other) for other in cameras]
-        return blend_photos(
+        return blend_into(
+            camera,
             depth,
-            torch.from_numpy(np.array(warps).reshape(-1, 3, 4)).float(),
-            torch.from_numpy(np.array([other.K for other in cameras]).reshape(-1, 3, 3)).float(),
-            float(camera.K[0, 0]),
+            [self.views[i].camera for i in chosen],
             [source.texels for source in sources],
             [source.depth for source in sources],
-            keep=self.sources,
-            each=each,
+            self.sources,
+            each,
         )
 
     def candidates(self, camera: Camera, depth: Tensor, without: Set[str] = NOTHING) -> list[int]:

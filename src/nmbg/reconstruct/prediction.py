@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from nmbg.blending import blend_into
 from nmbg.cameras import Camera
 from nmbg.mesh import Mesh
-from nmbg.ops import blend_photos, rasterize_faces
+from nmbg.ops import rasterize_faces
 from nmbg.reconstruct.gallery import Gallery
+
+# Photographs blended in a pixel.
+BLENDED = 5
 
 
 def predict(
@@ -29,15 +32,13 @@ def predict(
         colour [h, w, 3] float32 of 255, and the score [h, w] float32 of the best source: 0 where none shows
         the point, and the colour is 0 too.
     """
-    camera = gallery.cameras[i]
-    others = [gallery.cameras[j] for j in sources]
-    blend = blend_photos(
+    blend = blend_into(
+        gallery.cameras[i],
         _seen(gallery, i),
-        torch.from_numpy(np.stack([camera.warp_to(other) for other in others])).float(),
-        torch.from_numpy(np.stack([other.K for other in others])).float(),
-        float(camera.K[0, 0]),
+        [gallery.cameras[j] for j in sources],
         [texels[j] for j in sources],
         [_seen(gallery, j) for j in sources],
+        BLENDED,
     )
     return 255 * blend.colour.permute(1, 2, 0), blend.weight
 

@@ -19,10 +19,11 @@ import torch.nn.functional as F
 import trimesh
 from torch import Tensor
 
+from nmbg.blending import blend_into
 from nmbg.images import resize
 from nmbg.mesh import Mesh
 from nmbg.model.cover import SourceCover
-from nmbg.ops import blend_photos, mip_chain, rasterize_faces, scatter_faces
+from nmbg.ops import mip_chain, rasterize_faces, scatter_faces
 from nmbg.progress import progress_bar
 from nmbg.reconstruct.coverage import mask_at
 from nmbg.scene import Scene
@@ -183,17 +184,13 @@ class _Judge:
         return [self._error(i, others, depths) for i, others in enumerate(sources)]
 
     def _error(self, i: int, others: Sequence[int], depths: Sequence[Tensor]) -> Tensor:
-        if not others:
-            return torch.full_like(depths[i], UNSEEN)
-        camera, cameras = self.cameras[i], [self.cameras[j] for j in others]
-        blend = blend_photos(
+        blend = blend_into(
+            self.cameras[i],
             depths[i],
-            torch.from_numpy(np.stack([camera.warp_to(other) for other in cameras])).float(),
-            torch.from_numpy(np.stack([other.K for other in cameras])).float(),
-            float(camera.K[0, 0]),
+            [self.cameras[j] for j in others],
             [self.texels[j] for j in others],
             [depths[j] for j in others],
-            keep=SOURCES,
+            SOURCES,
         )
         trust = blend.weight / (blend.weight + HALF_TRUST)
         # Of the single sources, not of their mean: that would gain by blurring what disagrees.
