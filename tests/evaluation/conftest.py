@@ -15,6 +15,7 @@ from nmbg.cameras import Camera
 from nmbg.images import write_image
 from nmbg.mesh import Mesh
 from nmbg.scene import Scene, View
+from nmbg.training.config import PRESETS
 
 NAMES = ("a.jpg", "b.jpg", "sub/c.jpg", "d.jpg")
 
@@ -73,7 +74,7 @@ def make_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., S
             source=made.folder,
             scene=made,
             renderer=FakeRenderer(photos, error),
-            config=SimpleNamespace(preset="mesh"),
+            config=PRESETS["mesh"],
         )
         monkeypatch.setattr("nmbg.evaluation.evaluate.load_run", lambda folder, device: run)
         monkeypatch.setattr(Scene, "load", lambda folder: made)
