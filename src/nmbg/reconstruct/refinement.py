@@ -39,7 +39,7 @@ CANDIDATES, SOURCES = 14, 5
 STEPS = (-3, -2, -1, 0, 1, 2, 3)
 # What a step must gain, as a share of the unmoved surface's error: errors also differ by chance, more so
 # where they are large. Below the second, in [0, 1], they are no evidence.
-STEP_COST, LEAST_ERROR = 0.05, 0.01
+STEP_COST, LEAST_ERROR = 0.02, 0.01
 # Error where no other photograph sees the surface, and the score at which that counts half.
 UNSEEN, HALF_TRUST = 0.2, 1e-4
 # Rounds of means that keep the steps of neighbouring vertices alike.
