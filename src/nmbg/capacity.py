@@ -24,7 +24,7 @@ JUDGES = 16
 def choose_photographs(
     scene: Scene, wish: int | Literal["auto", "all"], model: ModelConfig
 ) -> tuple[View, ...]:
-    """The training photographs to keep, greedily by what each adds to how well the others' views are covered.
+    """The training photographs to keep, greedily by what each adds to how well training views are covered.
 
     Args:
         scene: the scene.
@@ -43,17 +43,15 @@ def choose_photographs(
 
 
 def _by_worth(scene: Scene, per_point: int) -> list[View]:
-    """Training views, what adds most to the others' coverage first."""
+    """Training views, what adds most to the coverage of all first; what others can replace comes last."""
     cameras = [view.camera for view in scene.train]
     cover = SourceCover(scene.mesh, cameras)
     scores = []
     with progress_bar() as bar:
-        for i, camera in enumerate(bar.track(cameras, description="choosing photographs")):
+        for camera in bar.track(cameras, description="choosing photographs"):
             small = camera.within(96)
             points = cover.points(small, look(scene.mesh, small).depth)
-            seen = cover.scores(points, torch.from_numpy(camera.centre)).float()
-            seen[i] = 0  # a view must be covered by the others
-            scores.append(seen)
+            scores.append(cover.scores(points, torch.from_numpy(camera.centre)).float())
     chosen = greedy_cover(torch.cat(scores, 1), len(cameras), per_point)
     # Those that add nothing come last.
     chosen += sorted(set(range(len(cameras))) - set(chosen))
