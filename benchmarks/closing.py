@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +17,9 @@ from typing import Any
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
-import torch
+from record import cell, command, provenance, write
 
-from nmbg import __version__
-from nmbg.atomic import atomic_file
 from nmbg.evaluation.evaluate import evaluate
-from nmbg.evaluation.machine import machine
 from nmbg.preprocess import PreprocessOptions, preprocess
 from nmbg.scene import Scene
 from nmbg.training.config import PRESETS
@@ -50,14 +46,12 @@ LPIPS_NET = "squeeze"
 def main(capture: Path, name: str, iterations: int, weights: Path, output: Path, **options: Any) -> None:
     """Preprocess a capture with every background, train and judge; write closing.json and closing.md."""
     results_path = output / "closing.json"
-    results = json.loads(results_path.read_text()) if results_path.exists() else _provenance(iterations)
-    found = results["captures"].setdefault(name, {"command": " ".join(["python", *sys.argv]), "rows": {}})
+    new = {"iterations": iterations, **provenance(), "captures": {}}
+    results = json.loads(results_path.read_text()) if results_path.exists() else new
+    found = results["captures"].setdefault(name, {"command": command(), "rows": {}})
 
     def save() -> None:
-        with atomic_file(results_path) as path:
-            path.write_text(json.dumps(results, indent=1))
-        with atomic_file(output / "closing.md") as path:
-            path.write_text(_table(results))
+        write(output, "closing", results, _table(results))
 
     if "auto" not in found:
         scene = preprocess(capture, output / f"{name}-auto", PreprocessOptions(**options), overwrite=True)
@@ -80,16 +74,6 @@ def main(capture: Path, name: str, iterations: int, weights: Path, output: Path,
     click.echo(_table(results))
 
 
-def _provenance(iterations: int) -> dict[str, Any]:
-    return {
-        "iterations": iterations,
-        "nmbg": __version__,
-        "torch": torch.__version__,
-        "machine": machine("cpu"),
-        "captures": {},
-    }
-
-
 def _table(results: dict[str, Any]) -> str:
     machine_ = results["machine"]
     lines = [
@@ -105,15 +89,10 @@ def _table(results: dict[str, Any]) -> str:
             label = f"**{kind}**" if kind == found["auto"]["chosen"] else kind
             closing = row["closing"]
             shares = f"{100 * closing['open_before']:.2f} → {100 * closing['open_after']:.2f}"
-            cells = [_cell(row[preset]) if preset in row else "" for preset in ("photos", "mesh")]
+            cells = [cell(row[preset]) if preset in row else "" for preset in ("photos", "mesh")]
             lines.append(f"| {name} | {label} | {shares} | {' | '.join(cells)} |")
     lines += ["", *(f"- {name}: {found['auto']['why']}" for name, found in results["captures"].items())]
     return "\n".join(lines) + "\n"
-
-
-def _cell(metrics: dict[str, float]) -> str:
-    lpips = next(value for key, value in metrics.items() if key.startswith("lpips"))
-    return f"{metrics['psnr']:.2f} / {metrics['ssim']:.3f} / {lpips:.3f}"
 
 
 if __name__ == "__main__":

@@ -10,19 +10,15 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
-import torch
+from record import command, provenance, write
 
-from nmbg import __version__
-from nmbg.atomic import atomic_file
 from nmbg.evaluation.evaluate import evaluate
-from nmbg.evaluation.machine import machine
 from nmbg.scene import Scene
 from nmbg.training.checkpoint import latest_checkpoint, load_progress, load_run
 from nmbg.training.config import PRESETS, VGG_TO_RELU3
@@ -46,7 +42,8 @@ def main(
 ) -> None:
     """Train and judge every rung; write ladder.json and ladder.md."""
     results_path = output / "ladder.json"
-    results = json.loads(results_path.read_text()) if results_path.exists() else _provenance(scene, minutes)
+    new = {"command": command(), "scene": scene.name, "minutes": minutes, **provenance(), "rungs": {}}
+    results = json.loads(results_path.read_text()) if results_path.exists() else new
     for name in presets.split(","):
         if name in results["rungs"]:
             continue
@@ -58,10 +55,7 @@ def main(
         )
         train(Scene.load(scene), config, run, weights, overwrite=True)
         results["rungs"][name] = _judge(run, weights, lpips_net)
-        with atomic_file(results_path) as path:
-            path.write_text(json.dumps(results, indent=1))
-        with atomic_file(output / "ladder.md") as path:
-            path.write_text(_table(results))
+        write(output, "ladder", results, _table(results))
     click.echo(_table(results))
 
 
@@ -79,18 +73,6 @@ def _judge(run: Path, weights: Path, lpips_net: str) -> dict[str, float]:
         "seconds_per_frame": metrics.seconds_per_frame,
         "steps": load_progress(checkpoint).step,
         "network_parameters": 0 if network is None else sum(p.numel() for p in network.parameters()),
-    }
-
-
-def _provenance(scene: Path, minutes: float) -> dict[str, object]:
-    return {
-        "command": " ".join(["python", *sys.argv]),
-        "scene": scene.name,
-        "minutes": minutes,
-        "nmbg": __version__,
-        "torch": torch.__version__,
-        "machine": machine("cpu"),
-        "rungs": {},
     }
 
 

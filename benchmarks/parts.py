@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,15 +20,12 @@ from typing import Any
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
-import torch
+from record import cell, command, provenance, write
 from torch import Tensor
 
-from nmbg import __version__
-from nmbg.atomic import atomic_file
 from nmbg.evaluation.evaluate import evaluate
-from nmbg.evaluation.machine import machine
 from nmbg.model import photographs
-from nmbg.model.exposure import Exposure
+from nmbg.model.exposure import UNCHANGED, Exposure
 from nmbg.scene import Scene
 from nmbg.training.config import PRESETS, TrainConfig
 from nmbg.training.trainer import train
@@ -75,7 +71,8 @@ def main(scenes: tuple[Path, ...], minutes: float | None, weights: Path, output:
     if minutes is not None:
         parts.append(Part(f"… and a network, {minutes:g} min", replace(PRESETS["nmbg"], minutes=minutes)))
     results_path = output / "parts.json"
-    results = json.loads(results_path.read_text()) if results_path.exists() else _provenance()
+    new = {"command": command(), **provenance(), "scenes": {}}
+    results = json.loads(results_path.read_text()) if results_path.exists() else new
     for scene in scenes:
         rows = results["scenes"].setdefault(scene.name, {})
         for part in parts:
@@ -87,10 +84,7 @@ def main(scenes: tuple[Path, ...], minutes: float | None, weights: Path, output:
                 seconds = time.perf_counter() - start
                 measured = evaluate(run, ["psnr", "ssim", "lpips"], lpips_net=LPIPS_NET, weights=weights)
             rows[part.name] = {**measured.mean, "seconds": seconds}
-            with atomic_file(results_path) as path:
-                path.write_text(json.dumps(results, indent=1))
-            with atomic_file(output / "parts.md") as path:
-                path.write_text(_table(results))
+            write(output, "parts", results, _table(results))
     click.echo(_table(results))
 
 
@@ -100,23 +94,13 @@ def _exposure(on: bool) -> Iterator[None]:
     fit = photographs.fit_exposure
 
     def none(image: Tensor, colour: Tensor, counted: Tensor) -> Exposure:
-        return Exposure(torch.ones(3, 1, 1), torch.zeros(3, 1, 1))
+        return UNCHANGED
 
     photographs.fit_exposure = fit if on else none
     try:
         yield
     finally:
         photographs.fit_exposure = fit
-
-
-def _provenance() -> dict[str, Any]:
-    return {
-        "command": " ".join(["python", *sys.argv]),
-        "nmbg": __version__,
-        "torch": torch.__version__,
-        "machine": machine("cpu"),
-        "scenes": {},
-    }
 
 
 def _table(results: dict[str, Any]) -> str:
@@ -130,14 +114,10 @@ def _table(results: dict[str, Any]) -> str:
         f"|---|{'---|' * len(scenes)}",
     ]
     for name in names:
-        cells = [_cell(rows[name]) if name in rows else "" for rows in scenes.values()]
+        found = [rows.get(name) for rows in scenes.values()]
+        cells = [f"{cell(row)} ({row['seconds']:.0f})" if row else "" for row in found]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
-
-
-def _cell(row: dict[str, float]) -> str:
-    lpips = next(value for key, value in row.items() if key.startswith("lpips"))
-    return f"{row['psnr']:.2f} / {row['ssim']:.3f} / {lpips:.3f} ({row['seconds']:.0f})"
 
 
 if __name__ == "__main__":

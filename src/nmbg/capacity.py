@@ -11,7 +11,7 @@ from nmbg.model.config import ModelConfig
 from nmbg.model.cover import SourceCover, greedy_cover
 from nmbg.model.renderer import Renderer
 from nmbg.progress import progress_bar
-from nmbg.scene import Scene, View
+from nmbg.scene import Scene, View, evenly
 from nmbg.sight import look
 from nmbg.training.start import mean_colours
 
@@ -63,8 +63,7 @@ def _enough(scene: Scene, order: list[View], model: ModelConfig) -> int:
     renderer = Renderer(replace(model, degree=0, widths=(), supersample=1), [scene.mesh])
     renderer.set_colours(mean_colours(renderer.layers))
     renderer.remember(scene, scene.train)
-    n = min(JUDGES, len(scene.train))
-    judges = [scene.train[int((i + 0.5) * len(scene.train) / n)] for i in range(n)]
+    judges = evenly(scene.train, JUDGES)
 
     def psnr(count: int) -> float:
         dropped = {view.name for view in scene.train} - {view.name for view in order[:count]}
@@ -76,7 +75,7 @@ def _enough(scene: Scene, order: list[View], model: ModelConfig) -> int:
             if mask is not None:
                 error = error[torch.from_numpy(mask)]
             total -= 10 * float(torch.log10(error.mean().clamp(min=1e-10)))
-        return total / n
+        return total / len(judges)
 
     # Fewer photographs show less: the number is found by halving.
     too_few, enough = 0, len(order)

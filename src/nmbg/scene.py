@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,15 @@ from nmbg.mesh import Mesh, load_mesh, save_mesh
 VERSION = 1
 
 Split = Literal["train", "test"]
+
+
+T = TypeVar("T")
+
+
+def evenly(items: Sequence[T], n: int) -> list[T]:
+    """So many of the items, spread evenly over their order; all when there are fewer."""
+    n = min(n, len(items))
+    return [items[int((i + 0.5) * len(items) / n)] for i in range(n)]
 
 
 @dataclass(frozen=True)

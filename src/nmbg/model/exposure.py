@@ -44,6 +44,9 @@ class Exposure(NamedTuple):
         return (image - self.offset) / self.gain
 
 
+UNCHANGED = Exposure(torch.ones(3, 1, 1), torch.zeros(3, 1, 1))
+
+
 def fit_exposure(image: Tensor, colour: Tensor, counted: Tensor) -> Exposure:
     """Least squares over the pixels that show alike colours; a photograph without any is taken as it is.
 
@@ -55,7 +58,7 @@ def fit_exposure(image: Tensor, colour: Tensor, counted: Tensor) -> Exposure:
     alike = counted & ((image - colour).abs().amax(0) < ALIKE)
     x, y = colour[:, alike].double(), image[:, alike].double()
     if not x.shape[1]:
-        return Exposure(torch.ones(3, 1, 1), torch.zeros(3, 1, 1))
+        return UNCHANGED
     mean_x, mean_y = x.mean(1, keepdim=True), y.mean(1, keepdim=True)
     variance = (x - mean_x).square().mean(1, keepdim=True)
     covariance = ((x - mean_x) * (y - mean_y)).mean(1, keepdim=True)
@@ -88,7 +91,7 @@ def neighbours(
 def mean_exposure(exposures: list[Exposure], weights: list[float]) -> Exposure:
     """Weighted mean; of none, no change."""
     if not exposures:
-        return Exposure(torch.ones(3, 1, 1), torch.zeros(3, 1, 1))
+        return UNCHANGED
     gains, offsets = (torch.stack(part) for part in zip(*exposures, strict=True))
     shares = torch.tensor(weights)[:, None, None, None]
     return Exposure((shares * gains).sum(0), (shares * offsets).sum(0))

@@ -13,6 +13,7 @@ from nmbg.mesh import Mesh
 from nmbg.ops import mip_chain
 from nmbg.reconstruct.gallery import Gallery
 from nmbg.reconstruct.prediction import predict, shade
+from nmbg.scene import evenly
 from nmbg.sight import look
 
 # So many views are judged at most.
@@ -33,9 +34,8 @@ def left_out(gallery: Gallery) -> list[list[int]]:
         return []
     holes = [int(gallery.open(i).sum()) for i in range(n_views)]
     telling = sorted(sorted(range(n_views), key=lambda i: -holes[i])[: -(-n_views // 2)])
-    n = min(JUDGED, len(telling))
-    judged = [telling[int((i + 0.5) * len(telling) / n)] for i in range(n)]
-    turns = -(-n // max(1, int(LEFT_OUT * n_views)))
+    judged = evenly(telling, JUDGED)
+    turns = -(-len(judged) // max(1, int(LEFT_OUT * n_views)))
     return [judged[turn::turns] for turn in range(turns)]
 
 

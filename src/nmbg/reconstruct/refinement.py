@@ -23,18 +23,19 @@ from nmbg.blending import blend_into
 from nmbg.images import resize
 from nmbg.mesh import Mesh
 from nmbg.model.cover import SourceCover
+from nmbg.model.photographs import CANDIDATES
 from nmbg.ops import mip_chain, rasterize_faces, scatter_faces
 from nmbg.progress import progress_bar
 from nmbg.reconstruct.coverage import mask_at
-from nmbg.scene import Scene
+from nmbg.scene import Scene, evenly
 from nmbg.sight import look
 
 # Longer side at which photographs are compared, pixels.
 SIZE = 640
 # So many views at most, spread over the capture.
 MOST_VIEWS = 72
-# Photographs that one is predicted from, and how many of them in a pixel.
-CANDIDATES, SOURCES = 14, 5
+# Photographs blended in a pixel.
+SOURCES = 5
 # Steps along the normals that are tried in a round.
 STEPS = (-3, -2, -1, 0, 1, 2, 3)
 # What a step must gain, as a share of the unmoved surface's error: errors also differ by chance, more so
@@ -145,8 +146,7 @@ class _Judge:
     """Training photographs, each of which is predicted from the others over any surface."""
 
     def __init__(self, scene: Scene) -> None:
-        n = min(len(scene.train), MOST_VIEWS)
-        views = [scene.train[int((i + 0.5) * len(scene.train) / n)] for i in range(n)]
+        views = evenly(scene.train, MOST_VIEWS)
         self.cameras = [view.camera.within(SIZE) for view in views]
         self.images: list[Tensor] = []  # [3, H, W] in [0, 1]
         self.masks: list[Tensor] = []  # [H, W] bool

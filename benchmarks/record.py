@@ -1,0 +1,42 @@
+"""What the tables have in common: where numbers came from, and how they are written down."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from nmbg import __version__
+from nmbg.atomic import atomic_file
+from nmbg.evaluation.machine import machine
+
+
+def command() -> str:
+    """The command line that this runs under."""
+    return " ".join(["python", *sys.argv])
+
+
+def provenance() -> dict[str, Any]:
+    """What numbers depend on besides command and settings."""
+    return {
+        "nmbg": __version__,
+        "torch": torch.__version__,
+        "machine": machine("cpu"),
+    }
+
+
+def write(folder: Path, name: str, results: dict[str, Any], table: str) -> None:
+    """Write NAME.json and NAME.md into a folder."""
+    with atomic_file(folder / f"{name}.json") as path:
+        path.write_text(json.dumps(results, indent=1))
+    with atomic_file(folder / f"{name}.md") as path:
+        path.write_text(table)
+
+
+def cell(metrics: dict[str, float]) -> str:
+    """PSNR / SSIM / LPIPS."""
+    lpips = next(value for key, value in metrics.items() if key.startswith("lpips"))
+    return f"{metrics['psnr']:.2f} / {metrics['ssim']:.3f} / {lpips:.3f}"
