@@ -16,39 +16,48 @@ namespace nmbg {
 template <class Item>
 class Bins {
   public:
-    // visit(i, put) calls put(bin, item) for each bin that source i of [0, n) goes to, the same at every
-    // call. Two passes over contiguous chunks of sources: count, then fill. Memory is exactly what the lists
-    // need.
+    // visit(begin, end, put) calls put(bin, item) for what the sources [begin, end) of [0, n) put into bins,
+    // in their order.
     template <class Visit>
     Bins(int64_t n, int64_t bins, int threads, const Visit& visit) : start_(bins + 1) {
-        // Fewer sources are not worth a thread.
-        threads = static_cast<int>(std::clamp<int64_t>(n / 4096, 1, threads));
+        // More chunks than threads, since some may put more than others; short ones are not worth a visit.
+        const int64_t chunks = std::clamp<int64_t>(n / 4096, 1, threads > 1 ? 4 * int64_t{threads} : 1);
 
-        std::vector<std::vector<int64_t>> cursor(threads);
-        parallel_chunks(n, threads, [&](int64_t chunk, int64_t begin, int64_t end) {
+        struct Put {
+            int32_t bin;
+            Item item;
+        };
+        std::vector<std::vector<Put>> puts(chunks);
+        std::vector<std::vector<int32_t>> cursor(chunks);
+        parallel_for(chunks, threads, [&](int64_t chunk) {
+            std::vector<Put>& mine = puts[chunk];
             cursor[chunk].assign(bins, 0);
-            int64_t* count = cursor[chunk].data();
-            for (int64_t i = begin; i < end; ++i)
-                visit(i, [count](int64_t bin, const Item&) { ++count[bin]; });
+            int32_t* count = cursor[chunk].data();
+            visit(n * chunk / chunks, n * (chunk + 1) / chunks, [&](int64_t bin, const Item& item) {
+                mine.push_back({static_cast<int32_t>(bin), item});
+                ++count[bin];
+            });
         });
 
         // Turn each chunk's counts into the places where it writes: bin by bin, chunk by chunk.
         int64_t total = 0;
         for (int64_t bin = 0; bin < bins; ++bin) {
             start_[bin] = total;
-            for (auto& chunk : cursor) {
-                const int64_t count = chunk[bin];
-                chunk[bin] = total;
-                total += count;
-            }
+            for (auto& chunk : cursor) total += chunk[bin];
         }
         start_[bins] = total;
+        std::vector<int64_t> next(start_.begin(), start_.end() - 1);
+        for (auto& chunk : cursor)
+            for (int64_t bin = 0; bin < bins; ++bin) {
+                const int32_t count = chunk[bin];
+                chunk[bin] = static_cast<int32_t>(next[bin] - start_[bin]);
+                next[bin] += count;
+            }
 
         items_.resize(total);
-        parallel_chunks(n, threads, [&](int64_t chunk, int64_t begin, int64_t end) {
-            int64_t* place = cursor[chunk].data();
-            for (int64_t i = begin; i < end; ++i)
-                visit(i, [&](int64_t bin, const Item& item) { items_[place[bin]++] = item; });
+        parallel_for(chunks, threads, [&](int64_t chunk) {
+            int32_t* place = cursor[chunk].data();
+            for (const Put& put : puts[chunk]) items_[start_[put.bin] + place[put.bin]++] = put.item;
         });
     }
 

@@ -43,11 +43,14 @@ void rasterize_points(const PointsView<T>& view, int32_t* index, T* dist2) {
     const Tiling tiling(view.height, view.width);
     const T radius2 = static_cast<T>(view.radius * view.radius);
 
-    const Bins<Disc<T>> bins(view.points, tiling.count(), view.threads, [&](int64_t point, const auto& put) {
-        Disc<T> disc;
-        if (make_disc(view, point, disc))
-            tiling.for_each(reach(view, disc), [&](int64_t tile) { put(tile, disc); });
-    });
+    const auto list = [&](int64_t begin, int64_t end, const auto& put) {
+        for (int64_t point = begin; point < end; ++point) {
+            Disc<T> disc;
+            if (make_disc(view, point, disc))
+                tiling.for_each(reach(view, disc), [&](int64_t tile) { put(tile, disc); });
+        }
+    };
+    const Bins<Disc<T>> bins(view.points, tiling.count(), view.threads, list);
 
     parallel_for(tiling.count(), view.threads, [&](int64_t t) {
         const PixelBox tile = tiling.box(t);

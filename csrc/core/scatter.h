@@ -19,14 +19,16 @@ void ordered_scatter(int64_t pixels, int64_t vertices, int threads, const Corner
     const int64_t block = std::max<int64_t>(64, vertices / 1024);  // vertices owned by one thread at a time
     const int64_t blocks = (vertices + block - 1) / block;
 
-    const Bins<int32_t> bins(pixels, blocks, threads, [&](int64_t pixel, const auto& put) {
-        std::array<int32_t, K> vertex{};
-        if (!corners(pixel, vertex)) return;
-        for (int k = 0; k < K; ++k) {
-            const int64_t owner = vertex[k] / block;
-            bool seen = false;
-            for (int other = 0; other < k; ++other) seen |= vertex[other] / block == owner;
-            if (!seen) put(owner, static_cast<int32_t>(pixel));
+    const Bins<int32_t> bins(pixels, blocks, threads, [&](int64_t begin, int64_t end, const auto& put) {
+        for (int64_t pixel = begin; pixel < end; ++pixel) {
+            std::array<int32_t, K> vertex{};
+            if (!corners(pixel, vertex)) continue;
+            for (int k = 0; k < K; ++k) {
+                const int64_t owner = vertex[k] / block;
+                bool seen = false;
+                for (int other = 0; other < k; ++other) seen |= vertex[other] / block == owner;
+                if (!seen) put(owner, static_cast<int32_t>(pixel));
+            }
         }
     });
 

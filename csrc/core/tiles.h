@@ -1,8 +1,10 @@
-// The image cut into tiles of 256 pixels. A tile is worked on by one thread at a time, which owns its pixels.
+// The image cut into tiles of 512 pixels. A tile is worked on by one thread at a time, which owns its pixels.
 #pragma once
 
 #include <algorithm>
 #include <cstdint>
+
+#include "core/portable.h"
 
 namespace nmbg {
 
@@ -18,30 +20,22 @@ struct PixelBox {
     }
 };
 
-// The first pixel of [0, size] whose centre is at `x` or beyond; x may be infinite.
-inline int32_t first_pixel_from(double x, int32_t size) {
-    const double bounded = std::clamp(x - 0.5, 0.0, static_cast<double>(size));
-    const auto pixel = static_cast<int32_t>(bounded);
-    return pixel + (pixel < bounded);
-}
-
 // The pixels of a width × height image whose centres lie in [xmin, xmax] × [ymin, ymax], or a little beyond.
-inline PixelBox pixels_within(double xmin, double ymin, double xmax, double ymax, int32_t width,
-                              int32_t height) {
-    // Wider than any rounding of the exact tests that follow, narrower than what would slow them down.
-    constexpr double margin = 1.0 / 64;
-    return {first_pixel_from(xmin - margin, width), first_pixel_from(ymin - margin, height),
-            first_pixel_from(xmax + margin, width), first_pixel_from(ymax + margin, height)};
+template <class S>
+PixelBox pixels_within(S xmin, S ymin, S xmax, S ymax, int32_t width, int32_t height) {
+    const auto box = portable::pixels_within<S>(xmin, ymin, xmax, ymax, width, height);
+    return {box.x0, box.y0, box.x1, box.y1};
 }
 
 class Tiling {
   public:
-    static constexpr int pixels = 256;  // of a tile
+    static constexpr int pixels = 512;  // of a tile
 
-    // Square tiles; flat or upright ones for strips, so that they too have enough tiles to share out.
+    // Tiles of 32 × 16 pixels; flat or upright ones for strips, so that they too have enough tiles to share out; always
+    // whole vectors wide.
     Tiling(int32_t height, int32_t width) : height_(height), width_(width) {
         while (log_height_ > 0 && height <= 1 << (log_height_ - 1)) --log_height_, ++log_width_;
-        while (log_width_ > 0 && width <= 1 << (log_width_ - 1)) --log_width_, ++log_height_;
+        while (1 << log_width_ > portable::wide && width <= 1 << (log_width_ - 1)) --log_width_, ++log_height_;
         columns_ = ((width - 1) >> log_width_) + 1;
         rows_ = ((height - 1) >> log_height_) + 1;
     }
@@ -59,12 +53,20 @@ class Tiling {
         return ((y - tile.y0) << log_width_) + (x - tile.x0);
     }
 
-    // The tile of pixel (x, y).
-    int64_t of(int32_t x, int32_t y) const {
-        return int64_t{y >> log_height_} * columns_ + (x >> log_width_);
-    }
+    // The place of a tile in the grid of tiles, and of a pixel in it: number = row * columns + column.
+    int columns() const { return columns_; }
+    int log_width() const { return log_width_; }
+    int log_height() const { return log_height_; }
 
-    bool within_one(const PixelBox& box) const { return of(box.x0, box.y0) == of(box.x1 - 1, box.y1 - 1); }
+    // Slots from one row of a tile's buffer to the next.
+    int stride() const { return 1 << log_width_; }
+
+    // How many tiles a box of pixels touches.
+    int64_t touched(const PixelBox& box) const {
+        if (box.empty()) return 0;
+        return int64_t{((box.y1 - 1) >> log_height_) - (box.y0 >> log_height_) + 1} *
+               (((box.x1 - 1) >> log_width_) - (box.x0 >> log_width_) + 1);
+    }
 
     // Calls visit(tile) for each tile that a box of pixels touches.
     template <class Visit>
@@ -77,7 +79,7 @@ class Tiling {
 
   private:
     int32_t height_, width_;
-    int log_width_ = 4, log_height_ = 4;  // of the size of a tile
+    int log_width_ = 5, log_height_ = 4;  // of the size of a tile
     int32_t columns_, rows_;
 };
 

@@ -18,9 +18,19 @@ def rasterize_points(
 def rasterize_points_backward(
     h: _Float, radius_px: float, index: _Int, grad_dist2: _Float, threads: int
 ) -> _Float: ...
-def rasterize_faces(h: _Float, faces: _Int, height: int, width: int, threads: int) -> tuple[_Int, _Float]: ...
+def rasterize_faces(
+    h: _Float, faces: _Int, height: int, width: int, levels: int, threads: int
+) -> tuple[_Int, _Float, _Float]: ...
 def rasterize_faces_backward(
-    h: _Float, faces: _Int, face: _Int, grad_bary: _Float, threads: int
+    h: _Float,
+    faces: _Int,
+    height: int,
+    width: int,
+    levels: int,
+    face: _Int,
+    grad_bary: _Float,
+    grad_depth: _Float,
+    threads: int,
 ) -> _Float: ...
 def shade(
     index: _Int, weight: _Float, faces: _Int | None, rays: _Float, coeffs: _Float, threads: int

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from nmbg.cameras import Camera
 from nmbg.mesh import Mesh
-from nmbg.ops import face_depth, rasterize_faces
+from nmbg.ops import rasterize_faces
 
 
 @dataclass(frozen=True)
@@ -36,5 +36,5 @@ def look(mesh: Mesh, camera: Camera) -> Sight:
     """Rasterize the mesh for one camera, with depth."""
     faces = torch.from_numpy(mesh.faces)
     h = camera.project(torch.from_numpy(mesh.vertices))
-    face, bary = rasterize_faces(h, faces, camera.height, camera.width)
-    return Sight(camera, face, face_depth(face, bary, faces, h))
+    face, _, depth = rasterize_faces(h, faces, camera.height, camera.width)
+    return Sight(camera, face, depth)

@@ -25,7 +25,7 @@ def test_colour_equals_shading_the_whole_mesh(bumpy: Mesh, camera: Camera) -> No
     """Fragments are renumbered to what a view sees; the picture must not know."""
     renderer = randomised(Renderer(COLOUR, [bumpy]))
     faces = torch.from_numpy(bumpy.faces)
-    face, bary = rasterize_faces(camera.project(torch.from_numpy(bumpy.vertices)), faces, 30, 43)
+    face, bary, _ = rasterize_faces(camera.project(torch.from_numpy(bumpy.vertices)), faces, 30, 43)
     coeffs = renderer.descriptors[0].coeffs.view(-1, 9, 3)
     expected = shade_faces(face, bary, faces, camera.rays(), coeffs) + 0.5
     torch.testing.assert_close(renderer(renderer.rasterize(camera), camera), expected)
@@ -42,7 +42,7 @@ def test_pyramid_equals_every_level_shaded_alone(bumpy: Mesh, camera: Camera) ->
     for k, image in enumerate(descriptors.pyramid(fragments, 3, slice(None))):
         level = padded.level(k)
         index, dist2 = rasterize_points(level.project(vertices), radius, level.height, level.width)
-        face, bary = rasterize_faces(
+        face, bary, _ = rasterize_faces(
             level.project(vertices), torch.from_numpy(bumpy.faces), level.height, level.width
         )
         points = shade_points(index, 1 - dist2 / radius**2, level.rays(), coeffs)

@@ -13,6 +13,7 @@ from nmbg.ops import (
     blend_photos,
     mip_chain,
     rasterize_faces,
+    rasterize_faces_pyramid,
     rasterize_points,
     reference,
     shade_faces,
@@ -55,7 +56,7 @@ def blend_all(depth, warps, K, focal, depths, *photos):
 def scene(random_scene, unit_rays):
     h, faces = random_scene(0, H, W, vertices=9000, faces=9000, dtype=torch.float32)
     index, dist2 = rasterize_points(h, 1.63, H, W)
-    face, bary = rasterize_faces(h, faces, H, W)
+    face, bary, _ = rasterize_faces(h, faces, H, W)
     coeffs = torch.randn(9000, 9, 8, generator=torch.Generator().manual_seed(1))
     rays = unit_rays(1, H, W, torch.float32)
     *wall, photos, photo_depths = blending(7, H, W, torch.float32)
@@ -104,7 +105,7 @@ def test_same_bits_for_any_number_of_threads(scene, run_op, each_thread_count, n
 def test_torch_library_contract(random_scene, unit_rays):
     h, faces = random_scene(0, 7, 9)
     index, dist2 = rasterize_points(h, 1.0, 7, 9)
-    face, bary = rasterize_faces(h, faces, 7, 9)
+    face, bary, depth_seen = rasterize_faces(h, faces, 7, 9)
     rays = unit_rays(0, 7, 9).requires_grad_()
     coeffs = torch.randn(60, 4, 3, dtype=torch.float64, requires_grad=True)
     grad = torch.randn(3, 7, 9, dtype=torch.float64)
@@ -124,8 +125,12 @@ def test_torch_library_contract(random_scene, unit_rays):
     calls = [
         (ops.rasterize_points, (grad_h, 1.0, 7, 9)),
         (ops.rasterize_points_backward, (h, 1.0, index, dist2)),
-        (ops.rasterize_faces, (grad_h, faces, 7, 9)),
-        (ops.rasterize_faces_backward, (h, faces, face, bary)),
+        (ops.rasterize_faces, (grad_h, faces, 7, 9, 1)),
+        (ops.rasterize_faces, (grad_h, faces, 7, 9, 3)),
+        (
+            ops.rasterize_faces_backward,
+            (h, faces, 7, 9, 1, face.flatten(), bary.reshape(-1, 3), depth_seen.flatten()),
+        ),
         (ops.shade, points),
         (ops.shade, corners),
         *[(ops.shade_backward_coeffs, (grad, *args)) for args in detached],
@@ -147,9 +152,9 @@ def test_torch_library_contract(random_scene, unit_rays):
 def test_indices_are_not_differentiable(random_scene):
     h, faces = random_scene(0, 7, 9)
     h.requires_grad_()
-    for index, values in (rasterize_points(h, 1.0, 7, 9), rasterize_faces(h, faces, 7, 9)):
+    for index, *values in (rasterize_points(h, 1.0, 7, 9), rasterize_faces(h, faces, 7, 9)):
         assert not index.requires_grad
-        assert values.requires_grad
+        assert all(value.requires_grad for value in values)
     depth, *rest = blending(2, 5, 6, torch.float64)
     blend = blend_photos(depth.requires_grad_(), *rest, each=True)
     assert [x.requires_grad for x in blend] == [True, True, True, False, False, False]
@@ -197,6 +202,7 @@ BAD = {
     "h of 2 columns": (lambda: rasterize_points(CORNERS[:, :2], 1.0, 4, 4), r"h: .*\[3, 2\]"),
     "h of one axis": (lambda: rasterize_points(CORNERS[0], 1.0, 4, 4), r"h: .*\[3\]"),
     "no rows": (lambda: rasterize_points(CORNERS, 1.0, 0, 4), "height 0"),
+    "no level": (lambda: rasterize_faces_pyramid(CORNERS, TRIANGLE, 4, 4, 0), "levels: .*got 0"),
     "negative width": (lambda: rasterize_faces(CORNERS, TRIANGLE, 4, -4), "width -4"),
     "huge image": (lambda: rasterize_faces(CORNERS, TRIANGLE, 2**16, 2**16), "height 65536 and width 65536"),
     "radius zero": (lambda: rasterize_points(CORNERS, 0.0, 4, 4), "radius_px: .*0.0"),
@@ -256,12 +262,14 @@ def test_bad_input_is_an_error_that_says_what_came(case):
 
 def test_backward_checks_indices_too(random_scene):
     h, faces = random_scene(0, 4, 4)
-    grad = torch.ones(4, 4, 3, dtype=torch.float64)
-    beyond = torch.full((4, 4), 80, dtype=torch.int32)
+    grad = torch.ones(16, 3, dtype=torch.float64)
+    beyond = torch.full((16,), 80, dtype=torch.int32)
     with pytest.raises(ValueError, match=r"face: .*got 80"):
-        torch.ops.nmbg.rasterize_faces_backward(h, faces, beyond, grad)
+        torch.ops.nmbg.rasterize_faces_backward(h, faces, 4, 4, 1, beyond, grad, grad[:, 0])
+    with pytest.raises(ValueError, match=r"face: .*\[21\]"):
+        torch.ops.nmbg.rasterize_faces_backward(h, faces, 4, 4, 3, beyond, grad, grad[:, 0])
     with pytest.raises(ValueError, match=r"index: .*got 80"):
-        torch.ops.nmbg.rasterize_points_backward(h, 1.0, beyond, grad[..., 0].contiguous())
+        torch.ops.nmbg.rasterize_points_backward(h, 1.0, beyond.view(4, 4), grad[:, 0].reshape(4, 4))
     depth, warps, K, focal, photos, depths = blending(2, 4, 4, torch.float64)
     to_colour, to_pixel = torch.ones(3, 4, 4, dtype=torch.float64), torch.ones(4, 4, dtype=torch.float64)
     rest = (depth, warps, K, photos, depths, focal, 2, 0.1, 0.02, 8.0)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from nmbg.cameras import Camera
-from nmbg.ops import face_depth, rasterize_faces, reference
+from nmbg.ops import rasterize_faces, rasterize_faces_pyramid, reference
 
 DTYPES = (torch.float32, torch.float64)
 
@@ -44,14 +44,50 @@ def test_agrees_with_the_twin(assert_same, random_scene, dtype, seed):
     assert_same(rasterize_faces, reference.rasterize_faces, [h, faces, 37, 53])
 
 
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize(("height", "width", "levels"), [(37, 53, 4), (16, 32, 5), (5, 2, 9)])
+def test_a_pyramid_agrees_with_its_levels_and_with_the_twin(
+    assert_same, random_scene, dtype, height, width, levels
+):
+    h, faces = random_scene(levels, height, width, dtype=dtype)
+
+    def flat_parts(op):
+        def parts(h: Tensor, faces: Tensor) -> tuple[Tensor, ...]:
+            return tuple(part for hits in op(h, faces, height, width, levels) for part in hits)
+
+        return parts
+
+    assert_same(flat_parts(rasterize_faces_pyramid), flat_parts(reference.rasterize_faces_pyramid), [h, faces])
+    for k, hits in enumerate(rasterize_faces_pyramid(h, faces, height, width, levels)):
+        halved = h * h.new_tensor([0.5**k, 0.5**k, 1])
+        alone = rasterize_faces(halved, faces, -(-height // 2**k), -(-width // 2**k))
+        for part, whole in zip(hits, alone, strict=True):
+            assert torch.equal(part, whole)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("count", [1, 7, 513, 20000])
+@pytest.mark.parametrize("largest", [1.0, 3.0, 40.0])
+def test_agrees_with_the_twin_whatever_the_size_and_number_of_faces(assert_same, dtype, count, largest):
+    # Each path of the kernel: less and more than a vector or a block of faces, none to many pixels each.
+    g = np.random.default_rng(count)
+    height, width = 40, 70
+    centre = g.uniform(-5, (width + 5, height + 5), (count, 1, 2))
+    uv = centre + g.uniform(-largest, largest, (count, 3, 2)) / 2
+    z = g.uniform(1, 2, (count, 3, 1))
+    h = torch.tensor(np.concatenate([uv * z, z], 2).reshape(-1, 3)).to(dtype)
+    faces = torch.arange(3 * count, dtype=torch.int32).reshape(-1, 3)
+    assert_same(rasterize_faces, reference.rasterize_faces, [h, faces, height, width])
+
+
 def test_gradient_is_the_derivative(random_scene):
     h, faces = random_scene(3, 5, 6, vertices=9, faces=6)
     assert (rasterize_faces(h, faces, 5, 6)[0] >= 0).sum() > 5
 
-    def bary(h: Tensor) -> Tensor:
-        return rasterize_faces(h, faces, 5, 6)[1]
+    def values(h: Tensor) -> tuple[Tensor, ...]:
+        return tuple(x for hits in rasterize_faces_pyramid(h, faces, 5, 6, 2) for x in hits[1:])
 
-    assert torch.autograd.gradcheck(bary, h.requires_grad_(), eps=1e-8, atol=1e-4)
+    assert torch.autograd.gradcheck(values, h.requires_grad_(), eps=1e-8, atol=1e-4)
 
 
 def test_barycentrics_and_depth_are_perspective_correct():
@@ -59,19 +95,17 @@ def test_barycentrics_and_depth_are_perspective_correct():
     vertices = torch.tensor([[-3.0, -2, 2], [4, -1, 7], [0.5, 3, 4]], dtype=torch.float64)
     h = camera.project(vertices).requires_grad_()
     faces = int32([0, 1, 2])
-    face, bary = rasterize_faces(h, faces, camera.height, camera.width)
+    face, bary, depth = rasterize_faces(h, faces, camera.height, camera.width)
     seen = face == 0
     assert seen.sum() > 50
     hits = bary[seen] @ vertices
     rays = camera.rays(torch.float64)[seen]
     torch.testing.assert_close(torch.nn.functional.normalize(hits, dim=-1), rays)
-    depth = face_depth(face, bary, faces, h)
     torch.testing.assert_close(depth[seen], hits[:, 2])
     assert (depth[~seen] == 0).all()
 
     def depth_of(h: Tensor) -> Tensor:
-        face, bary = rasterize_faces(h, faces, 8, 12)
-        return face_depth(face, bary, faces, h)
+        return rasterize_faces(h, faces, 8, 12).depth
 
     # Moved, so that no pixel centre is on an edge, where the depth jumps.
     small = camera.resized(12, 8).cropped(0.13, 0.21, 12, 8).project(vertices).requires_grad_()
@@ -81,7 +115,7 @@ def test_barycentrics_and_depth_are_perspective_correct():
 @pytest.mark.parametrize("op", [rasterize_faces, reference.rasterize_faces])
 def test_a_pixel_belongs_to_the_triangle_that_holds_its_centre(op):
     # Strictly inside: the centre (2.5, 1.5), that is column 2 of row 1, and no other.
-    face, bary = op(flat([[2.2, 1.2], [3.2, 1.4], [2.3, 2.1]]), int32([0, 1, 2]), 4, 5)
+    face, bary, _ = op(flat([[2.2, 1.2], [3.2, 1.4], [2.3, 2.1]]), int32([0, 1, 2]), 4, 5)
     assert (face >= 0).nonzero().tolist() == [[1, 2]]
     corners = bary[1, 2] @ torch.tensor([[2.2, 1.2], [3.2, 1.4], [2.3, 2.1]], dtype=torch.float64)
     torch.testing.assert_close(corners, torch.tensor([2.5, 1.5], dtype=torch.float64))
@@ -143,7 +177,7 @@ def test_a_closed_mesh_seen_from_inside_leaves_no_empty_pixel(seed, subdivisions
     vertices = ball.vertices * (1 + jitter * g.uniform(-1, 1, (len(ball.vertices), 1)))
     camera = look(random_rotation(seed), width=40, height=30, focal=g.uniform(3, 60))
     h = camera.project(torch.tensor(vertices, dtype=torch.float32))
-    face, _ = rasterize_faces(h, torch.tensor(ball.faces.astype(np.int32)), 30, 40)
+    face, _, _ = rasterize_faces(h, torch.tensor(ball.faces.astype(np.int32)), 30, 40)
     assert (face >= 0).all()
 
 
@@ -155,29 +189,30 @@ def test_the_ground_under_the_camera_fills_the_image_below_the_horizon(op, tilt)
     )
     camera = look(rotation)
     ground = torch.tensor([[-1e4, 1.5, -1e4], [1e4, 1.5, -1e4], [1e4, 1.5, 1e4], [-1e4, 1.5, 1e4]])
-    face, bary = op(camera.project(ground), int32([[0, 1, 2], [0, 2, 3]]), camera.height, camera.width)
+    face, bary, depth = op(camera.project(ground), int32([[0, 1, 2], [0, 2, 3]]), camera.height, camera.width)
     down = camera.rays()[..., 1]
     assert (face[down > 1e-3] >= 0).all()
     assert (face[down < 0] == -1).all()
     assert bary.isfinite().all()
     assert bary.min() >= 0
+    assert depth[face >= 0].min() > 0
 
 
 def test_nearest_wins_and_ties_go_to_the_lower_index():
     square = [[1, 1], [9, 1], [9, 9], [1, 9]]
     h = torch.cat([flat(square, 2.0), flat(square, 1.0), flat(square, 1.0), flat(square, 3.0)])
     faces = int32([[4 * k + a, 4 * k + b, 4 * k + c] for k in range(4) for a, b, c in ((0, 1, 2), (0, 2, 3))])
-    face, _ = rasterize_faces(h, faces, 10, 10)
+    face, _, _ = rasterize_faces(h, faces, 10, 10)
     assert set(face.unique().tolist()) == {-1, 2, 3}
     order = torch.tensor([0, 1, 4, 5, 2, 3, 6, 7])  # the two equal ones swapped
-    swapped, _ = rasterize_faces(h, faces[order], 10, 10)
+    swapped, _, _ = rasterize_faces(h, faces[order], 10, 10)
     assert torch.equal(swapped, face)
 
 
 def test_both_sides_of_a_face_are_drawn():
     h = flat([[1, 1], [9, 2], [4, 8]])
-    one, _ = rasterize_faces(h, int32([0, 1, 2]), 10, 10)
-    other, _ = rasterize_faces(h, int32([0, 2, 1]), 10, 10)
+    one, _, _ = rasterize_faces(h, int32([0, 1, 2]), 10, 10)
+    other, _, _ = rasterize_faces(h, int32([0, 2, 1]), 10, 10)
     assert (one == 0).sum() > 10
     assert torch.equal(one, other)
 
@@ -187,34 +222,35 @@ def test_both_sides_of_a_face_are_drawn():
 def test_what_cannot_be_drawn_is_left_out(op, dtype):
     h = flat([[1, 1], [9, 2], [4, 8]], dtype=dtype)
     good = int32([0, 1, 2])
-    expected, _ = op(h, good, 10, 10)
+    expected, _, _ = op(h, good, 10, 10)
     bad = torch.tensor([math.nan, math.inf, -math.inf], dtype=dtype)
     broken = torch.cat([h, h[:1] * 2, torch.diag(bad) + 1, -h])
     broken[4:7][torch.eye(3) == 0] = 1
     # Repeated vertices, collinear in space through the camera, not finite, behind the camera.
     faces = int32([[0, 0, 1], [1, 1, 1], [0, 3, 1], [0, 1, 4], [0, 5, 2], [6, 1, 2], [7, 8, 9]])
     assert (op(broken, faces, 10, 10)[0] == -1).all()
-    face, bary = op(broken, torch.cat([good, faces]), 10, 10)
+    face, bary, depth = op(broken, torch.cat([good, faces]), 10, 10)
     assert torch.equal(face, expected)
     assert bary.isfinite().all()
+    assert depth.isfinite().all()
 
 
 def test_empty_inputs():
     none = torch.zeros(0, 3)
     for faces, h in ((int32([]), none), (int32([]), torch.ones(4, 3))):
         for op in (rasterize_faces, reference.rasterize_faces):
-            face, bary = op(h.requires_grad_(), faces, 3, 4)
+            face, bary, depth = op(h.requires_grad_(), faces, 3, 4)
             assert face.shape == (3, 4)
             assert (face == -1).all()
             assert (bary == 0).all()
-            assert (face_depth(face, bary, faces, h) == 0).all()
-        bary.sum().backward()
+            assert (depth == 0).all()
+        (bary.sum() + depth.sum()).backward()
 
 
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 65536), (65536, 1), (3, 2000), (17, 33)])
 def test_images_of_any_shape(height, width):
     corners = flat([[-1, -1], [2 * width + 2, -1], [-1, 2 * height + 2]], dtype=torch.float32)
-    face, bary = rasterize_faces(corners, int32([0, 1, 2]), height, width)
+    face, bary, _ = rasterize_faces(corners, int32([0, 1, 2]), height, width)
     assert (face == 0).all()
     x = bary @ corners[:, :1]
     torch.testing.assert_close(
@@ -225,9 +261,9 @@ def test_images_of_any_shape(height, width):
 def test_views_that_are_not_contiguous_are_taken_as_they_are(random_scene):
     h, faces = random_scene(0, 20, 30)
     expected = rasterize_faces(h, faces, 20, 30)
-    face, bary = rasterize_faces(h.T.contiguous().T, faces.T.contiguous().T, 20, 30)
-    assert torch.equal(face, expected[0])
-    assert torch.equal(bary, expected[1])
+    found = rasterize_faces(h.T.contiguous().T, faces.T.contiguous().T, 20, 30)
+    for part, whole in zip(found, expected, strict=True):
+        assert torch.equal(part, whole)
 
 
 def test_agrees_with_an_independent_ray_caster():
@@ -238,7 +274,7 @@ def test_agrees_with_an_independent_ray_caster():
     caster = trimesh.ray.ray_pyembree.RayMeshIntersector(mesh)
     camera = look(random_rotation(1), width=200, height=150, focal=140.0, t=(0.1, -0.2, 2.5))
     h = camera.project(torch.tensor(vertices))
-    face, _ = rasterize_faces(h, torch.tensor(ball.faces.astype(np.int32)), camera.height, camera.width)
+    face, _, _ = rasterize_faces(h, torch.tensor(ball.faces.astype(np.int32)), camera.height, camera.width)
     rays = camera.rays(torch.float64).reshape(-1, 3).numpy()
     hit = caster.intersects_first(np.broadcast_to(camera.centre, rays.shape), rays)
     assert (hit >= 0).mean() > 0.2

@@ -18,7 +18,7 @@ from nmbg.demo.appearance import SUN, Appearance, encode
 from nmbg.demo.shapes import Floats, Ints, Part, build_parts, vertex_normals
 from nmbg.images import Image, write_image
 from nmbg.mesh import Mesh, save_mesh
-from nmbg.ops import face_depth, rasterize_faces
+from nmbg.ops import rasterize_faces
 from nmbg.progress import progress_bar
 
 
@@ -73,13 +73,13 @@ class Surface:
     def depth(self, camera: Camera) -> tuple[Tensor, Tensor]:
         """Nearest face [H, W] int32 and its depth [H, W]; −1 and 0 where there is none."""
         h = camera.project(self.vertices)
-        face, bary = rasterize_faces(h, self.faces, camera.height, camera.width)
-        return face, face_depth(face, bary, self.faces, h)
+        face, _, depth = rasterize_faces(h, self.faces, camera.height, camera.width)
+        return face, depth
 
     def photograph(self, camera: Camera, samples: int) -> Image:
         """Render a view, [H, W, 3] uint8 sRGB, averaging samples × samples per pixel in linear light."""
         fine = camera.resized(camera.width * samples, camera.height * samples)
-        face, bary = rasterize_faces(fine.project(self.vertices), self.faces, fine.height, fine.width)
+        face, bary, _ = rasterize_faces(fine.project(self.vertices), self.faces, fine.height, fine.width)
         eye = torch.from_numpy(camera.centre).float()
         hit = face.reshape(-1) >= 0
         light = torch.empty(len(hit), 3)

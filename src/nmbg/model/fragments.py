@@ -10,7 +10,7 @@ from torch import Tensor
 from nmbg.cameras import Camera
 from nmbg.mesh import Mesh
 from nmbg.model.config import ModelConfig
-from nmbg.ops import face_depth, rasterize_faces, rasterize_points
+from nmbg.ops import FaceHits, rasterize_faces_pyramid, rasterize_points
 
 
 @dataclass(frozen=True)
@@ -40,23 +40,14 @@ class LayerFragments:
         vertices: [V] int64, ascending: the layer's vertices that any level shows.
         faces: [F, 3] int32 into `vertices`: the faces that any level shows.
         levels: those of the pyramid that are rasterized, finest first.
+        depth: [H, W] float32 view-space z at the finest level's pixel centres, 0 where no face is seen; None
+            where it was not asked for.
     """
 
     vertices: Tensor
     faces: Tensor
     levels: list[LevelFragments]
-
-    def depth(self, mesh: Mesh) -> Tensor:
-        """View-space z of the faces that the finest level shows, [H, W] float32; 0 where none.
-
-        Args:
-            mesh: the layer's geometry.
-        """
-        finest = self.levels[0]
-        assert finest.face is not None
-        assert finest.bary is not None
-        h = finest.camera.project(torch.from_numpy(mesh.vertices)[self.vertices])
-        return face_depth(finest.face, finest.bary, self.faces, h)
+    depth: Tensor | None = None
 
     @property
     def nbytes(self) -> int:
@@ -67,33 +58,54 @@ class LayerFragments:
         return sum(t.nbytes for t in tensors)
 
 
-def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig, compact: bool = True) -> LayerFragments:
-    """Rasterize one layer for the pyramid of a camera.
+def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig) -> LayerFragments:
+    """Rasterize one layer for the pyramid of a camera; what no level shows is dropped.
 
     Args:
         mesh: the layer's geometry.
         camera: the view; 2^(levels − 1) divides its size.
         config: what to rasterize, and how.
-        compact: drop what no level shows; without it the whole layer counts as shown, which is quicker for
-            fragments that are shaded once.
     """
-    vertices, faces = torch.from_numpy(mesh.vertices), torch.from_numpy(mesh.faces)
+    faces = torch.from_numpy(mesh.faces)
+    vertices = torch.from_numpy(mesh.vertices)
+    views = [camera.level(k) for k in range(config.rasterized_levels)]
+    hits = _see_faces(vertices, faces, camera, config, len(views)) if config.faces else [None] * len(views)
     radius = config.radius_px(camera.width, camera.height)
-    s = config.supersample
     levels = []
-    for k in range(config.rasterized_levels):
-        view = camera.level(k)
+    for view, seen in zip(views, hits, strict=True):
         index = weight = face = bary = None
         if config.points:
             index, dist2 = rasterize_points(view.project(vertices), radius, view.height, view.width)
             weight = 1 - dist2 / radius**2 if config.point_weight else torch.ones_like(dist2)
-        if config.faces:
-            fine = view.resized(s * view.width, s * view.height)
-            face, bary = rasterize_faces(fine.project(vertices), faces, fine.height, fine.width)
+        if seen is not None:
+            face, bary, _ = seen
         levels.append(LevelFragments(view, index, weight, face, bary))
-    if not compact:
-        return LayerFragments(torch.arange(len(vertices)), faces, levels)
     return _compact(levels, faces, len(vertices))
+
+
+def rasterize_once(mesh: Mesh, camera: Camera, config: ModelConfig) -> LayerFragments:
+    """The finest faces of a camera, with depth: for fragments that are shaded once, nothing is dropped.
+
+    Args:
+        mesh: the layer's geometry.
+        camera: the view.
+        config: what to rasterize, and how.
+    """
+    faces = torch.from_numpy(mesh.faces)
+    vertices = torch.from_numpy(mesh.vertices)
+    # Where samples are averaged, none of them stands at a pixel's centre: a coarser level's do.
+    halvings = config.supersample.bit_length() - 1
+    hits = _see_faces(vertices, faces, camera, config, 1 + halvings)
+    level = LevelFragments(camera, None, None, hits[0].face, hits[0].bary)
+    return LayerFragments(torch.arange(len(vertices)), faces, [level], hits[-1].depth)
+
+
+def _see_faces(
+    vertices: Tensor, faces: Tensor, camera: Camera, config: ModelConfig, levels: int
+) -> list[FaceHits]:
+    s = config.supersample
+    fine = camera.resized(s * camera.width, s * camera.height)
+    return rasterize_faces_pyramid(fine.project(vertices), faces, fine.height, fine.width, levels)
 
 
 def _compact(levels: list[LevelFragments], faces: Tensor, n_vertices: int) -> LayerFragments:

@@ -13,11 +13,10 @@ from nmbg.cameras import Camera
 from nmbg.mesh import Mesh
 from nmbg.model.config import ModelConfig
 from nmbg.model.descriptors import SH_CONSTANT, Descriptors
-from nmbg.model.fragments import LayerFragments, rasterize_layer
+from nmbg.model.fragments import LayerFragments, rasterize_layer, rasterize_once
 from nmbg.model.photographs import NOTHING, Gathered, Photographs, count_features
 from nmbg.model.unet import UNet
 from nmbg.scene import Scene, View
-from nmbg.sight import look
 
 # What a renderer turns into an image: fragments to shade, or what mesh and photographs show already; apart
 # for a network, else as one image.
@@ -91,11 +90,9 @@ class Renderer(nn.Module):
     def on_mesh(self, camera: Camera) -> tuple[Tensor, Tensor]:
         """Colour [3, H, W] and depth [H, W] of the one layer that photographs are blended over."""
         (mesh,) = self.layers
-        fragments = [rasterize_layer(mesh, camera, self.config, compact=False)]
-        # Where samples are averaged, none of them stands at a pixel's centre.
-        single = self.config.supersample == 1
-        depth = fragments[0].depth(mesh) if single else look(mesh, camera).depth
-        return self.colour(fragments, camera).cpu(), depth
+        fragments = rasterize_once(mesh, camera, self.config)
+        assert fragments.depth is not None
+        return self.colour([fragments], camera).cpu(), fragments.depth
 
     def rasterize(self, camera: Camera) -> list[LayerFragments]:
         """What `camera` sees of each layer, padded."""

@@ -1,15 +1,16 @@
 """Torch ops over the C++ kernels; reference.py holds their plain-torch twins, which are the specification."""
 
 from nmbg.ops.blend import Blend, blend_photos, mip_chain
-from nmbg.ops.rasterize import face_depth, rasterize_faces, rasterize_points
+from nmbg.ops.rasterize import FaceHits, rasterize_faces, rasterize_faces_pyramid, rasterize_points
 from nmbg.ops.shade import scatter_faces, shade_faces, shade_points
 
 __all__ = [
     "Blend",
+    "FaceHits",
     "blend_photos",
-    "face_depth",
     "mip_chain",
     "rasterize_faces",
+    "rasterize_faces_pyramid",
     "rasterize_points",
     "scatter_faces",
     "shade_faces",

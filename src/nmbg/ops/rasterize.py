@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch  # before nmbg._core: the process then has the one OpenMP runtime of torch
 from torch import Tensor
@@ -58,48 +58,84 @@ _rasterize_points.register_autograd(_grad_points, setup_context=_save_points)
 
 
 @torch.library.custom_op("nmbg::rasterize_faces", mutates_args=(), device_types="cpu")
-def _rasterize_faces(h: Tensor, faces: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    face, bary = _core.rasterize_faces(
-        array("h", h), array("faces", faces), height, width, torch.get_num_threads()
+def _rasterize_faces(
+    h: Tensor, faces: Tensor, height: int, width: int, levels: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    face, bary, depth = _core.rasterize_faces(
+        array("h", h), array("faces", faces), height, width, levels, torch.get_num_threads()
     )
-    return torch.from_numpy(bary), torch.from_numpy(face)
+    return torch.from_numpy(bary), torch.from_numpy(depth), torch.from_numpy(face)
 
 
 @_rasterize_faces.register_fake
-def _(h: Tensor, faces: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
-    return h.new_empty((height, width, 3)), h.new_empty((height, width), dtype=torch.int32)
+def _(h: Tensor, faces: Tensor, height: int, width: int, levels: int) -> tuple[Tensor, Tensor, Tensor]:
+    pixels = sum(rows * columns for rows, columns in _sizes(height, width, levels))
+    return h.new_empty((pixels, 3)), h.new_empty(pixels), h.new_empty(pixels, dtype=torch.int32)
 
 
 @torch.library.custom_op("nmbg::rasterize_faces_backward", mutates_args=(), device_types="cpu")
-def _rasterize_faces_backward(h: Tensor, faces: Tensor, face: Tensor, grad_bary: Tensor) -> Tensor:
+def _rasterize_faces_backward(
+    h: Tensor,
+    faces: Tensor,
+    height: int,
+    width: int,
+    levels: int,
+    face: Tensor,
+    grad_bary: Tensor,
+    grad_depth: Tensor,
+) -> Tensor:
     return torch.from_numpy(
         _core.rasterize_faces_backward(
             array("h", h),
             array("faces", faces),
+            height,
+            width,
+            levels,
             array("face", face),
             array("grad_bary", grad_bary),
+            array("grad_depth", grad_depth),
             torch.get_num_threads(),
         )
     )
 
 
 @_rasterize_faces_backward.register_fake
-def _(h: Tensor, faces: Tensor, face: Tensor, grad_bary: Tensor) -> Tensor:
+def _(
+    h: Tensor,
+    faces: Tensor,
+    height: int,
+    width: int,
+    levels: int,
+    face: Tensor,
+    grad_bary: Tensor,
+    grad_depth: Tensor,
+) -> Tensor:
     return h.new_empty(h.shape)
 
 
-def _save_faces(ctx: Any, inputs: tuple[Tensor, Tensor, int, int], output: tuple[Tensor, Tensor]) -> None:
-    h, faces, _, _ = inputs
-    _, face = output
+def _save_faces(
+    ctx: Any, inputs: tuple[Tensor, Tensor, int, int, int], output: tuple[Tensor, Tensor, Tensor]
+) -> None:
+    h, faces, *ctx.size = inputs
+    _, _, face = output
     ctx.mark_non_differentiable(face)
     ctx.save_for_backward(h, faces, face)
 
 
-def _grad_faces(ctx: Any, grad_bary: Tensor, _: Tensor | None) -> tuple[Tensor, None, None, None]:
-    return _rasterize_faces_backward(*ctx.saved_tensors, grad_bary), None, None, None
+def _grad_faces(
+    ctx: Any, grad_bary: Tensor, grad_depth: Tensor, _: Tensor | None
+) -> tuple[Tensor, None, None, None, None]:
+    h, faces, face = ctx.saved_tensors
+    grad = _rasterize_faces_backward(h, faces, *ctx.size, face, grad_bary, grad_depth)
+    return grad, None, None, None, None
 
 
 _rasterize_faces.register_autograd(_grad_faces, setup_context=_save_faces)
+
+
+def _sizes(height: int, width: int, levels: int) -> list[tuple[int, int]]:
+    """Rows and columns of each level of a pyramid."""
+    return [(-(-height // 2**k), -(-width // 2**k)) for k in range(levels)]
 
 
 def rasterize_points(
@@ -129,12 +165,26 @@ def rasterize_points(
     return index, dist2
 
 
+class FaceHits(NamedTuple):
+    """The faces that the pixels of an image see.
+
+    Args:
+        face: [H, W] int32, the face of the smallest z (of equal ones, the lowest index), −1 where none.
+        bary: [H, W, 3] perspective-correct barycentrics, 0 where none.
+        depth: [H, W] view-space z, 0 where none.
+    """
+
+    face: Tensor
+    bary: Tensor
+    depth: Tensor
+
+
 def rasterize_faces(
     h: Tensor,  # [N, 3]
     faces: Tensor,  # [M, 3]
     height: int,
     width: int,
-) -> tuple[Tensor, Tensor]:  # [H, W], [H, W, 3]
+) -> FaceHits:
     """The nearest face along the ray through each pixel centre.
 
     Faces that cross the camera plane are drawn as far as they are in front of it. A pixel centre on the edge
@@ -148,26 +198,41 @@ def rasterize_faces(
         width: image width in pixels.
 
     Returns:
-        face: [H, W] int32, the face of the smallest z (of equal ones, the lowest index), −1 where none.
-        bary: [H, W, 3] in the dtype of `h`, perspective-correct barycentrics, 0 where none; differentiable
-            with respect to `h`.
+        What each pixel sees; `bary` and `depth` have the dtype of `h` and are differentiable with respect to
+        it.
 
     Raises:
         TypeError, ValueError: an argument of another dtype, shape or range than said here.
     """
-    bary, face = _rasterize_faces(h, faces, height, width)
-    return face, bary
+    return rasterize_faces_pyramid(h, faces, height, width, 1)[0]
 
 
-def face_depth(
-    face: Tensor,  # [H, W]
-    bary: Tensor,  # [H, W, 3]
-    faces: Tensor,  # [M, 3]
+def rasterize_faces_pyramid(
     h: Tensor,  # [N, 3]
-) -> Tensor:  # [H, W]
-    """View-space depth z of the faces that rasterize_faces() found, [H, W], 0 where none; differentiable."""
-    seen, rows = (face >= 0).flatten().nonzero()[:, 0], face.flatten()
-    corners = faces.index_select(0, rows.index_select(0, seen))  # [S, 3]
-    z = h[:, 2].index_select(0, corners.flatten()).view(-1, 3)
-    depth = (bary.reshape(-1, 3).index_select(0, seen) * z).sum(-1)
-    return bary.new_zeros(face.numel()).index_copy(0, seen, depth).view(face.shape)
+    faces: Tensor,  # [M, 3]
+    height: int,
+    width: int,
+    levels: int,
+) -> list[FaceHits]:
+    """rasterize_faces() for an image and its halvings: level k shows (u, v) / 2ᵏ on ⌈size / 2ᵏ⌉ pixels.
+
+    Args:
+        h: [N, 3] float32 or float64, homogeneous pixels of the finest level.
+        faces: [M, 3] int32, the vertices of each face.
+        height: finest image height in pixels.
+        width: finest image width in pixels.
+        levels: how many images.
+
+    Returns:
+        What each pixel sees per level, finest first, as rasterize_faces() returns it.
+
+    Raises:
+        TypeError, ValueError: an argument of another dtype, shape or range than said here.
+    """
+    bary, depth, face = _rasterize_faces(h, faces, height, width, levels)
+    sizes = _sizes(height, width, levels)
+    parts = [part.split([rows * columns for rows, columns in sizes]) for part in (face, bary, depth)]
+    return [
+        FaceHits(f.view(size), b.view(*size, 3), d.view(size))
+        for f, b, d, size in zip(*parts, sizes, strict=True)
+    ]

@@ -12,13 +12,13 @@ import torch
 from torch import Tensor
 
 from nmbg.ops.blend import Blend
-from nmbg.ops.rasterize import face_depth
+from nmbg.ops.rasterize import FaceHits
 
 __all__ = [
     "blend_photos",
-    "face_depth",
     "harmonics",
     "rasterize_faces",
+    "rasterize_faces_pyramid",
     "rasterize_points",
     "shade_faces",
     "shade_points",
@@ -82,7 +82,7 @@ def _edges(h: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
     return lines * sign[:, None, None], determinant * sign
 
 
-def rasterize_faces(h: Tensor, faces: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+def rasterize_faces(h: Tensor, faces: Tensor, height: int, width: int) -> FaceHits:
     """See nmbg.ops.rasterize_faces()."""
     x, y = _centres(height, width, h.double())
     lines, determinant = _edges(h, faces)
@@ -112,7 +112,17 @@ def rasterize_faces(h: Tensor, faces: Tensor, height: int, width: int) -> tuple[
     a, b, c = lines[face[row, column]].unbind(-1)  # [S, 3] each
     e_seen = a * x[0, column, None] + (b * y[row] + c)
     bary = bary.index_put((row, column), e_seen / e_seen.sum(-1, keepdim=True))
-    return face.int(), bary.to(h.dtype)
+    corner_z = h.double()[:, 2][faces.long()[face.clamp(min=0)]] if faces.shape[0] else torch.zeros_like(bary)
+    depth = (bary * corner_z.nan_to_num()).sum(-1)
+    return FaceHits(face.int(), bary.to(h.dtype), depth.to(h.dtype))
+
+
+def rasterize_faces_pyramid(h: Tensor, faces: Tensor, height: int, width: int, levels: int) -> list[FaceHits]:
+    """See nmbg.ops.rasterize_faces_pyramid()."""
+    halved = [h * h.new_tensor([0.5**k, 0.5**k, 1]) for k in range(levels)]
+    return [
+        rasterize_faces(part, faces, -(-height // 2**k), -(-width // 2**k)) for k, part in enumerate(halved)
+    ]
 
 
 def harmonics(d: Tensor, basis: int) -> Tensor:

@@ -34,7 +34,7 @@ def mean_vertex_colours(
     vertices, faces = torch.from_numpy(mesh.vertices), torch.from_numpy(mesh.faces)
     sums = torch.zeros(len(vertices), 4)
     for camera, photograph, mask in photographs:
-        face, bary = rasterize_faces(camera.project(vertices), faces, camera.height, camera.width)
+        face, bary, _ = rasterize_faces(camera.project(vertices), faces, camera.height, camera.width)
         image = torch.from_numpy(photograph).float()
         shown = torch.cat([image, torch.ones_like(image[..., :1])], dim=2)
         counts = face >= 0 if mask is None else (face >= 0) & torch.from_numpy(mask)

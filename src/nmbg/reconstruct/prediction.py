@@ -49,7 +49,7 @@ def shade(mesh: Mesh, camera: Camera) -> Tensor:
         return torch.zeros(camera.height, camera.width, 3)
     faces = torch.from_numpy(mesh.faces)
     h = camera.project(torch.from_numpy(mesh.vertices))
-    face, bary = rasterize_faces(h, faces, camera.height, camera.width)
+    face, bary, _ = rasterize_faces(h, faces, camera.height, camera.width)
     corners = torch.from_numpy(mesh.colours)[faces[face.clamp(min=0).long()].long()]
     return (bary[..., None] * corners).sum(-2) * (face >= 0)[..., None]
 

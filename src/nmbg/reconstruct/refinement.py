@@ -211,7 +211,7 @@ class _Judge:
             counted = torch.stack([*steps, torch.ones_like(steps[0])]) * mask
             mean = F.avg_pool2d(counted, window, 1, window // 2)
             pixels = mean / mean[-1].clamp(min=1e-6) * mask
-            face, bary = rasterize_faces(camera.project(vertices), faces, camera.height, camera.width)
+            face, bary, _ = rasterize_faces(camera.project(vertices), faces, camera.height, camera.width)
             rays = torch.zeros_like(bary)  # harmonics of degree 0 do not ask for a direction
             sums += scatter_faces(pixels, face, bary, faces, rays, len(vertices), 1)[:, 0]
         return sums.numpy()

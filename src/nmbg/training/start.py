@@ -88,7 +88,7 @@ class ColourFit:
         if mask is not None:
             shown = shown * torch.from_numpy(mask)
         h = camera.project(torch.from_numpy(mesh.vertices))
-        face, bary = rasterize_faces(h, faces, camera.height, camera.width)
+        face, bary, _ = rasterize_faces(h, faces, camera.height, camera.width)
         seen = face >= 0
         # Renumbered to the vertices in view, so that the sums cost what is seen.
         shown_faces, pixel_face = torch.unique(face[seen], return_inverse=True)

@@ -1,0 +1,57 @@
+// Compiles the file NMBG_FILE for each instruction set, into namespaces portable, avx2 and avx512 of nmbg: one
+// binary for all x86-64. To be included once, after all other headers.
+#include "core/portable.h"
+
+#define NMBG_ISA portable
+#include NMBG_FILE
+#undef NMBG_ISA
+
+#if defined(__x86_64__) && defined(__GNUC__)
+
+#ifdef __clang__
+#pragma clang attribute push(__attribute__((target("avx2"))), apply_to = function)
+#else
+#pragma GCC push_options
+#pragma GCC target("avx2")
+#endif
+#define NMBG_ISA avx2
+#include "core/lanes.inl"
+#include "core/triangle.inl"
+#include NMBG_FILE
+#undef NMBG_ISA
+#ifdef __clang__
+#pragma clang attribute pop
+#pragma clang attribute push(__attribute__((target("avx512f,avx512vl,avx512bw,avx512dq"))), apply_to = function)
+#else
+#pragma GCC pop_options
+#pragma GCC push_options
+#pragma GCC target("avx512f,avx512vl,avx512bw,avx512dq")
+#endif
+#define NMBG_ISA avx512
+#include "core/lanes.inl"
+#include "core/triangle.inl"
+#include NMBG_FILE
+#undef NMBG_ISA
+#ifdef __clang__
+#pragma clang attribute pop
+#else
+#pragma GCC pop_options
+#endif
+
+// Returns what the call gives, compiled for the widest vectors that the processor has.
+#define NMBG_DISPATCH(call)                                                                            \
+    do {                                                                                               \
+        static const bool has_512 = __builtin_cpu_supports("avx512f") &&                               \
+                                    __builtin_cpu_supports("avx512vl") &&                              \
+                                    __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq"); \
+        static const bool has_2 = __builtin_cpu_supports("avx2");                                      \
+        if (has_512) return avx512::call;                                                              \
+        if (has_2) return avx2::call;                                                                  \
+        return portable::call;                                                                         \
+    } while (false)
+
+#else
+
+#define NMBG_DISPATCH(call) return portable::call
+
+#endif

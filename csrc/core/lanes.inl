@@ -1,0 +1,119 @@
+// Eight numbers at a time, and boxes of pixels. Read once per instruction set, each time into a namespace of its
+// own (each_isa.h): gcc takes such vectors apart for the set that the formula itself is compiled for, not for
+// that of the function into which it is inlined.
+// Formulas written with select(), splat() and whole() take single numbers as well.
+
+namespace nmbg::NMBG_ISA {
+
+constexpr int wide = 8;
+using f64x8 = double __attribute__((vector_size(64)));
+using i64x8 = int64_t __attribute__((vector_size(64)));
+using f32x8 = float __attribute__((vector_size(32)));
+using i32x8 = int32_t __attribute__((vector_size(32)));
+
+template <class V, class E>
+NMBG_INLINE V load(const E* from) {
+    V v;
+    std::memcpy(&v, from, sizeof v);
+    return v;
+}
+
+template <class V, class E>
+NMBG_INLINE void store(const V& v, E* to) {
+    std::memcpy(to, &v, sizeof v);
+}
+
+template <class S>
+NMBG_INLINE S splat(double x) {
+    if constexpr (sizeof(S) <= 8)
+        return static_cast<S>(x);
+    else
+        return S{} + static_cast<std::remove_cvref_t<decltype(S{}[0])>>(x);
+}
+
+template <class M, class S>
+NMBG_INLINE S select(const M& mask, const S& a, const S& b) {
+    return mask ? a : b;
+}
+
+template <class S>
+NMBG_INLINE S least_of(const S& a, const S& b) {
+    return select(b < a, b, a);
+}
+template <class S>
+NMBG_INLINE S greatest_of(const S& a, const S& b) {
+    return select(a < b, b, a);
+}
+
+// 1 where the comparison holds, else 0.
+NMBG_INLINE int32_t one_where(bool holds) { return holds; }
+NMBG_INLINE i32x8 one_where(const i32x8& mask) { return -mask; }
+
+// The whole numbers towards zero, and numbers from them.
+template <class S>
+NMBG_INLINE int32_t whole(S x) {
+    return static_cast<int32_t>(x);
+}
+NMBG_INLINE i32x8 whole(const f32x8& x) { return __builtin_convertvector(x, i32x8); }
+template <class S>
+NMBG_INLINE S number(int32_t i) {
+    return static_cast<S>(i);
+}
+template <class S>
+NMBG_INLINE S number(const i32x8& i) {
+    return __builtin_convertvector(i, S);
+}
+NMBG_INLINE i32x8 narrower(const i64x8& i) { return __builtin_convertvector(i, i32x8); }
+
+NMBG_INLINE bool any_of(const i64x8& mask) {
+    using i64x4 = int64_t __attribute__((vector_size(32)));
+    using i64x2 = int64_t __attribute__((vector_size(16)));
+    const i64x4 four =
+        __builtin_shufflevector(mask, mask, 0, 1, 2, 3) | __builtin_shufflevector(mask, mask, 4, 5, 6, 7);
+    const i64x2 two = __builtin_shufflevector(four, four, 0, 1) | __builtin_shufflevector(four, four, 2, 3);
+    return (two[0] | two[1]) != 0;
+}
+NMBG_INLINE int32_t greatest_in(const i32x8& x) {
+    using i32x4 = int32_t __attribute__((vector_size(16)));
+    const i32x4 four = greatest_of<i32x4>(__builtin_shufflevector(x, x, 0, 1, 2, 3),
+                                          __builtin_shufflevector(x, x, 4, 5, 6, 7));
+    const i32x4 two = greatest_of<i32x4>(four, __builtin_shufflevector(four, four, 2, 3, 0, 1));
+    return two[0] > two[1] ? two[0] : two[1];
+}
+
+// Writes (x[0], y[0], z[0], x[1], …).
+template <class E>
+NMBG_INLINE void store_interleaved(const E* x, const E* y, const E* z, E* to) {
+    for (int i = 0; i < wide; ++i) to[3 * i] = x[i], to[3 * i + 1] = y[i], to[3 * i + 2] = z[i];
+}
+
+// As PixelBox, one or eight.
+template <class I>
+struct Box {
+    I x0{}, y0{}, x1{}, y1{};
+};
+
+// The first pixel of [0, size] whose centre is at `x` or beyond; x may be infinite, what is no number counts
+// as −∞.
+template <class S>
+NMBG_INLINE auto first_pixel_from(const S& x, int32_t size) {
+    const S start = x - splat<S>(0.5), last = splat<S>(size), zero = splat<S>(0);
+    const S above = select(start > zero, start, zero);
+    const S bounded = select(above < last, above, last);
+    const auto pixel = whole(bounded);
+    return pixel + one_where(number<S>(pixel) < bounded);
+}
+
+// The pixels of a width × height image whose centres lie in [xmin, xmax] × [ymin, ymax], or a little beyond.
+template <class S>
+NMBG_INLINE auto pixels_within(const S& xmin, const S& ymin, const S& xmax, const S& ymax, int32_t width,
+                               int32_t height) {
+    // Wider than what float coordinates of so many pixels round by, narrower than what would slow the exact
+    // tests down that follow.
+    const S margin = splat<S>(1.0 / 256 + 0x1p-22 * (width > height ? width : height));
+    return Box<decltype(whole(xmin))>{
+        first_pixel_from<S>(xmin - margin, width), first_pixel_from<S>(ymin - margin, height),
+        first_pixel_from<S>(xmax + margin, width), first_pixel_from<S>(ymax + margin, height)};
+}
+
+}  // namespace nmbg::NMBG_ISA
