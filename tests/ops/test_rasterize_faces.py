@@ -67,13 +67,15 @@ def test_a_pyramid_agrees_with_its_levels_and_with_the_twin(
 
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("count", [1, 7, 513, 20000])
-@pytest.mark.parametrize("largest", [1.0, 3.0, 40.0])
+@pytest.mark.parametrize("largest", [0.6, 3.0, 40.0])
 def test_agrees_with_the_twin_whatever_the_size_and_number_of_faces(assert_same, dtype, count, largest):
     # Each path of the kernel: less and more than a vector or a block of faces, none to many pixels each.
     g = np.random.default_rng(count)
     height, width = 40, 70
     centre = g.uniform(-5, (width + 5, height + 5), (count, 1, 2))
-    uv = centre + g.uniform(-largest, largest, (count, 3, 2)) / 2
+    # Never slivers, whose gradients are all rounding.
+    around = g.uniform(0, 7, (count, 1)) + 2 * np.pi / 3 * np.arange(3) + g.uniform(-0.5, 0.5, (count, 3))
+    uv = centre + largest / 2 * np.stack([np.cos(around), np.sin(around)], 2)
     z = g.uniform(1, 2, (count, 3, 1))
     h = torch.tensor(np.concatenate([uv * z, z], 2).reshape(-1, 3)).to(dtype)
     faces = torch.arange(3 * count, dtype=torch.int32).reshape(-1, 3)
