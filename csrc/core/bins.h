@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <vector>
 
@@ -31,6 +32,7 @@ class Bins {
         std::vector<std::vector<int32_t>> cursor(chunks);
         parallel_for(chunks, threads, [&](int64_t chunk) {
             std::vector<Put>& mine = puts[chunk];
+            mine.reserve(n / chunks);
             cursor[chunk].assign(bins, 0);
             int32_t* count = cursor[chunk].data();
             visit(n * chunk / chunks, n * (chunk + 1) / chunks, [&](int64_t bin, const Item& item) {
@@ -54,7 +56,7 @@ class Bins {
                 next[bin] += count;
             }
 
-        items_.resize(total);
+        items_ = std::make_unique_for_overwrite<Item[]>(total);
         parallel_for(chunks, threads, [&](int64_t chunk) {
             int32_t* place = cursor[chunk].data();
             for (const Put& put : puts[chunk]) items_[start_[put.bin] + place[put.bin]++] = put.item;
@@ -62,12 +64,12 @@ class Bins {
     }
 
     std::span<const Item> operator[](int64_t bin) const {
-        return {items_.data() + start_[bin], static_cast<std::size_t>(start_[bin + 1] - start_[bin])};
+        return {items_.get() + start_[bin], static_cast<std::size_t>(start_[bin + 1] - start_[bin])};
     }
 
   private:
     std::vector<int64_t> start_;
-    std::vector<Item> items_;
+    std::unique_ptr<Item[]> items_;
 };
 
 }  // namespace nmbg

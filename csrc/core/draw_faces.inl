@@ -2,42 +2,63 @@
 
 namespace nmbg::NMBG_ISA {
 
-NMBG_INLINE f64x8 load_doubles(const float* from) {
-    return __builtin_convertvector(load<f32x8>(from), f64x8);
-}
-NMBG_INLINE f64x8 load_doubles(const double* from) { return load<f64x8>(from); }
-NMBG_INLINE void store_doubles(const f64x8& x, float* to) { store(__builtin_convertvector(x, f32x8), to); }
-NMBG_INLINE void store_doubles(const f64x8& x, double* to) { store(x, to); }
+NMBG_INLINE f64x8 doubles(const f32x8& x) { return __builtin_convertvector(x, f64x8); }
+NMBG_INLINE f64x8 doubles(const f64x8& x) { return x; }
 
-constexpr int small_side = 4;
+template <class T>
+using eight = std::conditional_t<std::is_same_v<T, float>, f32x8, f64x8>;
 
 // Eight faces: their edges, and the pixels of the tile that they may reach.
 struct Batch {
     Triangle<f64x8> t;
     Box<i32x8> reach;
     i32x8 small;    // whether at most 4 × 4 pixels are in reach
-    i32x8 covered;  // then, a bit for each of them that is inside
+    i32x8 near;     // then, a bit for each of them that is inside, or is not but by rounding
 
-    double edge(int i, int k, double x, double y) const {
+    NMBG_INLINE double edge(int i, int k, double x, double y) const {
         return t.a[k][i] * x + (t.b[k][i] * y + t.c[k][i]);
     }
 };
 
+// Which of the 4 × 4 pixels in reach are inside, in float: what is left out is outside for certain.
+NMBG_INLINE i32x8 near_small(const Batch& batch) {
+    const Box<i32x8>& reach = batch.reach;
+    const i32x8 zero{}, across = select(batch.small, reach.x1 - reach.x0, zero),
+                        down = select(batch.small, reach.y1 - reach.y0, zero);
+    const f64x8 x = number<f64x8>(reach.x0) + 0.5, y = number<f64x8>(reach.y0) + 0.5;
+    f32x8 a[3], b[3], e[3];
+    for (int k = 0; k < 3; ++k) {
+        a[k] = __builtin_convertvector(batch.t.a[k], f32x8), b[k] = __builtin_convertvector(batch.t.b[k], f32x8);
+        e[k] = __builtin_convertvector(batch.t.edge(k, x, y), f32x8);
+        // More than four roundings of what is summed below.
+        const f32x8 size = greatest_of(e[k], -e[k]) + 4 * (greatest_of(a[k], -a[k]) + greatest_of(b[k], -b[k]));
+        e[k] += 1e-6f * size;
+    }
+    i32x8 near{};
+    const int rows = greatest_in(down), columns = greatest_in(across);
+    for (int row = 0; row < rows; ++row) {
+        f32x8 e0 = e[0], e1 = e[1], e2 = e[2];
+        for (int column = 0; column < columns; ++column) {
+            near |= ~(least_of(least_of(e0, e1), e2) < 0) & (1 << (4 * row + column));
+            e0 += a[0], e1 += a[1], e2 += a[2];
+        }
+        for (int k = 0; k < 3; ++k) e[k] += b[k];
+    }
+    const i32x8 one = zero + 1;
+    return near & (((one << across) - 1) * 0x1111) & ((one << (4 * down)) - 1);
+}
+
 template <class T>
 NMBG_INLINE Batch prepare(const FacesView<T>& view, const Level& level, const PixelBox& tile,
                           const int32_t* faces) {
-    T corner[9][wide];
-    for (int i = 0; i < wide; ++i) {
-        const int32_t* vertices = view.faces + 3 * int64_t{faces[i]};
-        for (int k = 0; k < 3; ++k) {
-            const T* h = view.h + 3 * int64_t{vertices[k]};
-            for (int d = 0; d < 3; ++d) corner[3 * k + d][i] = h[d];
-        }
-    }
+    const i32x8 first = 3 * load<i32x8>(faces);
     Corners<f64x8> h;
-    for (int k = 0; k < 3; ++k)
-        h.at[k] = {load_doubles(corner[3 * k]) * level.scale, load_doubles(corner[3 * k + 1]) * level.scale,
-                   load_doubles(corner[3 * k + 2])};
+    for (int k = 0; k < 3; ++k) {
+        const i32x8 at = 3 * gather<i32x8>(view.faces, first + k);
+        h.at[k] = {doubles(gather<eight<T>>(view.h, at)) * level.scale,
+                   doubles(gather<eight<T>>(view.h, at + 1)) * level.scale,
+                   doubles(gather<eight<T>>(view.h, at + 2))};
+    }
     Batch batch{Triangle<f64x8>(h), {}, {}, {}};
 
     f32x8 u[3], v[3];
@@ -54,43 +75,32 @@ NMBG_INLINE Batch prepare(const FacesView<T>& view, const Level& level, const Pi
         level.height);
     // What crosses the camera plane may reach the whole tile.
     const i32x8 bounded = narrower(front);
-    const i32x8 x0 = i32x8{} + tile.x0, y0 = i32x8{} + tile.y0, x1 = i32x8{} + tile.x1, y1 = i32x8{} + tile.y1;
+    const i32x8 left = i32x8{} + tile.x0, top = i32x8{} + tile.y0;
+    const i32x8 right = i32x8{} + tile.x1, bottom = i32x8{} + tile.y1;
     Box<i32x8>& reach = batch.reach;
-    reach = {select(bounded & (near.x0 > x0), near.x0, x0), select(bounded & (near.y0 > y0), near.y0, y0),
-             select(bounded & (near.x1 < x1), near.x1, x1), select(bounded & (near.y1 < y1), near.y1, y1)};
+    reach = {select(bounded & (near.x0 > left), near.x0, left), select(bounded & (near.y0 > top), near.y0, top),
+             select(bounded & (near.x1 < right), near.x1, right),
+             select(bounded & (near.y1 < bottom), near.y1, bottom)};
     const i32x8 drawn = narrower(batch.t.drawable());
     reach.x1 = select(drawn, reach.x1, reach.x0);
-    const i32x8 across = reach.x1 - reach.x0, down = reach.y1 - reach.y0;
-    batch.small = (across <= small_side) & (down <= small_side);
-    const int rows = greatest_in(batch.small & down), columns = greatest_in(batch.small & across);
-    const Triangle<f64x8>& t = batch.t;
-    const f64x8 x0_centre = number<f64x8>(reach.x0) + 0.5, y0_centre = number<f64x8>(reach.y0) + 0.5;
-    for (int row = 0; row < rows; ++row) {
-        const f64x8 y = y0_centre + row;
-        const f64x8 row0 = t.b[0] * y + t.c[0], row1 = t.b[1] * y + t.c[1], row2 = t.b[2] * y + t.c[2];
-        for (int column = 0; column < columns; ++column) {
-            const f64x8 x = x0_centre + column;
-            const i64x8 inside = (t.a[0] * x + row0 >= t.least[0]) & (t.a[1] * x + row1 >= t.least[1]) &
-                                 (t.a[2] * x + row2 >= t.least[2]);
-            batch.covered |= narrower(inside) & (column < across) & (row < down) &
-                             (1 << (small_side * row + column));
-        }
-    }
+    batch.small = (reach.x1 - reach.x0 <= 4) & (reach.y1 - reach.y0 <= 4);
+    batch.near = near_small(batch);
     return batch;
 }
 
-// Lets the pixels of face i that are known to be inside compete.
+// Tests the pixels of face i that are near.
 NMBG_INLINE void draw_small(const Batch& batch, int i, int32_t face, const PixelBox& box, int stride,
                             FaceTile& tile) {
-    for (auto covered = static_cast<uint32_t>(batch.covered[i]); covered; covered &= covered - 1) {
-        const int pixel = std::countr_zero(covered);
-        const int32_t column = batch.reach.x0[i] + pixel % small_side,
-                      row = batch.reach.y0[i] + pixel / small_side;
+    const Triangle<f64x8>& t = batch.t;
+    for (auto near = static_cast<uint32_t>(batch.near[i]); near; near &= near - 1) {
+        const int pixel = std::countr_zero(near);
+        const int32_t column = batch.reach.x0[i] + pixel % 4, row = batch.reach.y0[i] + pixel / 4;
         const double x = column + 0.5, y = row + 0.5;
         const double e0 = batch.edge(i, 0, x, y), e1 = batch.edge(i, 1, x, y), e2 = batch.edge(i, 2, x, y);
-        const double depth = batch.t.determinant[i] / (e0 + e1 + e2);
+        const double depth = t.determinant[i] / (e0 + e1 + e2);
         const int slot = (row - box.y0) * stride + (column - box.x0);
-        if (!(depth < tile.depth[slot])) continue;
+        const bool inside = (e0 >= t.least[0][i]) & (e1 >= t.least[1][i]) & (e2 >= t.least[2][i]);
+        if (!(inside & (depth < tile.depth[slot]))) continue;
         tile.depth[slot] = depth, tile.face[slot] = face;
         tile.e0[slot] = e0, tile.e1[slot] = e1, tile.e2[slot] = e2;
     }
@@ -127,6 +137,16 @@ NMBG_INLINE void draw_rows(const Batch& batch, int i, int32_t face, const PixelB
     }
 }
 
+// Asks for the vertices of the next faces, and for the faces after them.
+template <class T>
+NMBG_INLINE void prefetch(const FacesView<T>& view, std::span<const int32_t> faces) {
+    for (std::size_t i = wide; i < std::min<std::size_t>(2 * wide, faces.size()); ++i)
+        for (int k = 0; k < 3; ++k)
+            __builtin_prefetch(view.h + 3 * int64_t{view.faces[3 * int64_t{faces[i]} + k]});
+    for (std::size_t i = 2 * wide; i < std::min<std::size_t>(3 * wide, faces.size()); ++i)
+        __builtin_prefetch(view.faces + 3 * int64_t{faces[i]});
+}
+
 template <class T>
 NMBG_INLINE void draw_any(const FacesView<T>& view, const Level& level, const PixelBox& box,
                           std::span<const int32_t> faces, const FacesResult<T>& out) {
@@ -139,6 +159,7 @@ NMBG_INLINE void draw_any(const FacesView<T>& view, const Level& level, const Pi
         const int n = static_cast<int>(std::min<std::size_t>(wide, faces.size() - begin));
         int32_t some[wide];
         for (int i = 0; i < wide; ++i) some[i] = faces[begin + std::min(i, n - 1)];
+        prefetch(view, faces.subspan(begin));
         const Batch batch = prepare(view, level, box, some);
         for (int i = 0; i < n; ++i) {
             if (batch.small[i])
@@ -156,14 +177,24 @@ NMBG_INLINE void draw_any(const FacesView<T>& view, const Level& level, const Pi
                         e2 = load<f64x8>(&tile.e2[at]), z = load<f64x8>(&tile.depth[at]);
             const i64x8 seen = z <= std::numeric_limits<double>::max();
             const f64x8 inverse = 1 / select(seen, e0 + e1 + e2, splat<f64x8>(1));
-            T b0[wide], b1[wide], b2[wide], depth[wide], bary[3 * wide];
-            store_doubles(e0 * inverse, b0), store_doubles(e1 * inverse, b1), store_doubles(e2 * inverse, b2);
-            store_doubles(select(seen, z, splat<f64x8>(0)), depth);
-            store_interleaved(b0, b1, b2, bary);
-            const int n = std::min(wide, box.x1 - box.x0 - column);
-            std::copy_n(&tile.face[at], n, out.face + pixel + column);
-            std::copy_n(depth, n, out.depth + pixel + column);
-            std::copy_n(bary, 3 * n, out.bary + 3 * (pixel + column));
+            const auto b0 = __builtin_convertvector(e0 * inverse, eight<T>);
+            const auto b1 = __builtin_convertvector(e1 * inverse, eight<T>);
+            const auto b2 = __builtin_convertvector(e2 * inverse, eight<T>);
+            const auto depth = __builtin_convertvector(select(seen, z, splat<f64x8>(0)), eight<T>);
+            const int n = box.x1 - box.x0 - column;
+            if (n >= wide) {
+                store(load<i32x8>(&tile.face[at]), out.face + pixel + column);
+                store(depth, out.depth + pixel + column);
+                store_interleaved(b0, b1, b2, out.bary + 3 * (pixel + column));
+            } else {
+                T bary[3 * wide];
+                store_interleaved(b0, b1, b2, bary);
+                for (int i = 0; i < n; ++i) {
+                    out.face[pixel + column + i] = tile.face[at + i];
+                    out.depth[pixel + column + i] = depth[i];
+                }
+                std::copy_n(bary, 3 * n, out.bary + 3 * (pixel + column));
+            }
         }
     }
 }

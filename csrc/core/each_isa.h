@@ -8,12 +8,15 @@
 
 #if defined(__x86_64__) && defined(__GNUC__)
 
+#include <immintrin.h>
+
 #ifdef __clang__
 #pragma clang attribute push(__attribute__((target("avx2"))), apply_to = function)
 #else
 #pragma GCC push_options
 #pragma GCC target("avx2")
 #endif
+#define NMBG_AVX2
 #define NMBG_ISA avx2
 #include "core/lanes.inl"
 #include "core/triangle.inl"
@@ -27,11 +30,14 @@
 #pragma GCC push_options
 #pragma GCC target("avx512f,avx512vl,avx512bw,avx512dq")
 #endif
+#define NMBG_AVX512
 #define NMBG_ISA avx512
 #include "core/lanes.inl"
 #include "core/triangle.inl"
 #include NMBG_FILE
 #undef NMBG_ISA
+#undef NMBG_AVX2
+#undef NMBG_AVX512
 #ifdef __clang__
 #pragma clang attribute pop
 #else

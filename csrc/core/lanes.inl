@@ -23,6 +23,17 @@ NMBG_INLINE void store(const V& v, E* to) {
     std::memcpy(to, &v, sizeof v);
 }
 
+// (from[at[0]], from[at[1]], …).
+template <class V, class E>
+NMBG_INLINE V gather(const E* from, const i32x8& at) {
+#ifdef NMBG_AVX2
+    if constexpr (std::is_same_v<E, float>) return (V)_mm256_i32gather_ps(from, (__m256i)at, 4);
+    if constexpr (std::is_same_v<E, int32_t>) return (V)_mm256_i32gather_epi32(from, (__m256i)at, 4);
+#endif
+    return V{from[at[0]], from[at[1]], from[at[2]], from[at[3]],
+             from[at[4]], from[at[5]], from[at[6]], from[at[7]]};
+}
+
 template <class S>
 NMBG_INLINE S splat(double x) {
     if constexpr (sizeof(S) <= 8)
@@ -65,14 +76,32 @@ NMBG_INLINE S number(const i32x8& i) {
 }
 NMBG_INLINE i32x8 narrower(const i64x8& i) { return __builtin_convertvector(i, i32x8); }
 
-NMBG_INLINE bool any_of(const i64x8& mask) {
-    using i64x4 = int64_t __attribute__((vector_size(32)));
-    using i64x2 = int64_t __attribute__((vector_size(16)));
-    const i64x4 four =
-        __builtin_shufflevector(mask, mask, 0, 1, 2, 3) | __builtin_shufflevector(mask, mask, 4, 5, 6, 7);
-    const i64x2 two = __builtin_shufflevector(four, four, 0, 1) | __builtin_shufflevector(four, four, 2, 3);
-    return (two[0] | two[1]) != 0;
+// A bit for each element of a mask, the lowest for the first.
+NMBG_INLINE uint32_t bits_of(const i64x8& mask) {
+#if defined(NMBG_AVX512)
+    return _mm512_movepi64_mask((__m512i)mask);
+#elif defined(NMBG_AVX2)
+    const auto half = [](__m256d x) { return static_cast<uint32_t>(_mm256_movemask_pd(x)); };
+    return half((__m256d)__builtin_shufflevector(mask, mask, 0, 1, 2, 3)) |
+           half((__m256d)__builtin_shufflevector(mask, mask, 4, 5, 6, 7)) << 4;
+#else
+    uint32_t bits = 0;
+    for (int i = 0; i < wide; ++i) bits |= static_cast<uint32_t>(mask[i] & 1) << i;
+    return bits;
+#endif
 }
+NMBG_INLINE uint32_t bits_of(const i32x8& mask) {
+#if defined(NMBG_AVX2)
+    return static_cast<uint32_t>(_mm256_movemask_ps((__m256)mask));
+#else
+    return bits_of(__builtin_convertvector(mask, i64x8));
+#endif
+}
+template <class M>
+NMBG_INLINE bool any_of(const M& mask) {
+    return bits_of(mask) != 0;
+}
+
 NMBG_INLINE int32_t greatest_in(const i32x8& x) {
     using i32x4 = int32_t __attribute__((vector_size(16)));
     const i32x4 four = greatest_of<i32x4>(__builtin_shufflevector(x, x, 0, 1, 2, 3),
@@ -82,9 +111,14 @@ NMBG_INLINE int32_t greatest_in(const i32x8& x) {
 }
 
 // Writes (x[0], y[0], z[0], x[1], …).
-template <class E>
-NMBG_INLINE void store_interleaved(const E* x, const E* y, const E* z, E* to) {
-    for (int i = 0; i < wide; ++i) to[3 * i] = x[i], to[3 * i + 1] = y[i], to[3 * i + 2] = z[i];
+template <class V, class E>
+NMBG_INLINE void store_interleaved(const V& x, const V& y, const V& z, E* to) {
+    const V xy0 = __builtin_shufflevector(x, y, 0, 8, -1, 1, 9, -1, 2, 10);
+    const V xy1 = __builtin_shufflevector(x, y, -1, 3, 11, -1, 4, 12, -1, 5);
+    const V xy2 = __builtin_shufflevector(x, y, 13, -1, 6, 14, -1, 7, 15, -1);
+    store(__builtin_shufflevector(xy0, z, 0, 1, 8, 3, 4, 9, 6, 7), to);
+    store(__builtin_shufflevector(xy1, z, 10, 1, 2, 11, 4, 5, 12, 7), to + wide);
+    store(__builtin_shufflevector(xy2, z, 0, 13, 2, 3, 14, 5, 6, 15), to + 2 * wide);
 }
 
 // As PixelBox, one or eight.
@@ -104,13 +138,17 @@ NMBG_INLINE auto first_pixel_from(const S& x, int32_t size) {
     return pixel + one_where(number<S>(pixel) < bounded);
 }
 
+// Pixels: wider than what float coordinates of so many pixels round by, narrower than what would slow the exact
+// tests down that follow.
+NMBG_INLINE float margin_of(int32_t width, int32_t height) {
+    return 1.0f / 256 + 0x1p-22f * static_cast<float>(width > height ? width : height);
+}
+
 // The pixels of a width × height image whose centres lie in [xmin, xmax] × [ymin, ymax], or a little beyond.
 template <class S>
 NMBG_INLINE auto pixels_within(const S& xmin, const S& ymin, const S& xmax, const S& ymax, int32_t width,
                                int32_t height) {
-    // Wider than what float coordinates of so many pixels round by, narrower than what would slow the exact
-    // tests down that follow.
-    const S margin = splat<S>(1.0 / 256 + 0x1p-22 * (width > height ? width : height));
+    const S margin = splat<S>(margin_of(width, height));
     return Box<decltype(whole(xmin))>{
         first_pixel_from<S>(xmin - margin, width), first_pixel_from<S>(ymin - margin, height),
         first_pixel_from<S>(xmax + margin, width), first_pixel_from<S>(ymax + margin, height)};

@@ -16,26 +16,35 @@ struct Screen {
 void project(const float* h, int64_t n, Screen* screen);
 void project(const double* h, int64_t n, Screen* screen);
 
-// Extents on the image of some faces.
-struct Extents {
+// Corners on the image of some faces.
+struct Outlines {
     static constexpr int most = 512;  // faces
-    float umin[most], vmin[most], umax[most], vmax[most];
+    float u[3][most], v[3][most];
 
     // Whether all corners of face i are in front of the camera.
-    bool in_front(int i) const { return umin[i] == umin[i]; }
+    bool in_front(int i) const {
+        const float sum = u[0][i] + u[1][i] + u[2][i];
+        return sum == sum;
+    }
 };
 
-// Writes the extents of n faces; umin is not a number for one with a corner that is nowhere. False if one names
-// a vertex beyond `last`.
-bool measure(const Screen* screen, uint32_t last, const int32_t* faces, int n, Extents& out);
+// Writes the outlines of n faces. False if one names a vertex beyond `last`.
+bool outline(const Screen* screen, int32_t last, const int32_t* faces, int n, Outlines& out);
 
-// The pixels of a level that face i may cover, if it is in front.
-PixelBox box_of(const Extents& extents, int i, const Level& level);
+// Where on a level some faces may be seen.
+struct Places {
+    // A bit for each of eight faces: whether it may be seen. What follows is set where it is.
+    uint8_t drawn[Outlines::most / 8];
+    // The tile that holds a face; several_tiles where one is not enough or not known.
+    static constexpr int32_t several_tiles = -1;
+    int32_t tile[Outlines::most];
+    // The pixels that it may cover, if it is in front.
+    int32_t x0[Outlines::most], y0[Outlines::most], x1[Outlines::most], y1[Outlines::most];
 
-constexpr int32_t no_tile = -1, several_tiles = -2;
+    PixelBox box(int i) const { return {x0[i], y0[i], x1[i], y1[i]}; }
+};
 
-// The tile of the level that holds each face; no_tile for one that holds no pixel centre, several_tiles where
-// one tile is not enough or not known.
-void place(const Extents& extents, int n, const Level& level, int32_t* holder);
+// Places n faces.
+void place(const Outlines& outlines, int n, const Level& level, Places& out);
 
 }  // namespace nmbg

@@ -15,49 +15,72 @@ NMBG_INLINE void project_any(const T* h, int64_t n, Screen* screen) {
 inline void project(const float* h, int64_t n, Screen* screen) { project_any(h, n, screen); }
 
 // Reads and writes whole vectors: beyond n, the last face again.
-inline bool measure(const Screen* screen, uint32_t last, const int32_t* faces, int n, Extents& out) {
-    uint32_t highest = 0;
+inline bool outline(const Screen* screen, int32_t last, const int32_t* faces, int n, Outlines& out) {
+    i32x8 wrong{};
     for (int first = 0; first < n; first += wide) {
-        float u[3][wide], v[3][wide];
-        for (int i = 0; i < wide; ++i) {
-            const int32_t* face = faces + 3 * (first + i < n ? first + i : n - 1);
-            for (int k = 0; k < 3; ++k) {
-                const auto vertex = static_cast<uint32_t>(face[k]);
-                highest = highest > vertex ? highest : vertex;
-                const Screen& at = screen[vertex < last ? vertex : last];
-                u[k][i] = at.u, v[k][i] = at.v;
-            }
+        const i32x8 index = first + i32x8{0, 1, 2, 3, 4, 5, 6, 7};
+        const i32x8 face = 3 * select(index < n, index, splat<i32x8>(n - 1));
+        for (int k = 0; k < 3; ++k) {
+            const i32x8 vertex = gather<i32x8>(faces, face + k);
+            const i32x8 bad = (vertex < 0) | (vertex > last);
+            wrong |= bad;
+            const i32x8 at = 2 * select(bad, splat<i32x8>(0), vertex);
+            store(gather<f32x8>(&screen->u, at), out.u[k] + first);
+            store(gather<f32x8>(&screen->u, at + 1), out.v[k] + first);
         }
-        const f32x8 u0 = load<f32x8>(u[0]), u1 = load<f32x8>(u[1]), u2 = load<f32x8>(u[2]);
-        const f32x8 v0 = load<f32x8>(v[0]), v1 = load<f32x8>(v[1]), v2 = load<f32x8>(v[2]);
-        const f32x8 sum = u0 + u1 + u2;
-        store(select(sum == sum, least_of(least_of(u0, u1), u2), sum), out.umin + first);
-        store(least_of(least_of(v0, v1), v2), out.vmin + first);
-        store(greatest_of(greatest_of(u0, u1), u2), out.umax + first);
-        store(greatest_of(greatest_of(v0, v1), v2), out.vmax + first);
     }
-    return highest <= last;
+    return !any_of(wrong);
 }
 
-template <class S>
-NMBG_INLINE auto box_at(const Extents& e, int i, const Level& level) {
-    const S scale = splat<S>(level.scale);
-    return pixels_within<S>(scale * load<S>(e.umin + i), scale * load<S>(e.vmin + i),
-                            scale * load<S>(e.umax + i), scale * load<S>(e.vmax + i), level.width,
-                            level.height);
+// Whether any of the 2 × 2 pixels from (x0, y0) on may be inside a triangle of the image, up to `margin` px.
+NMBG_INLINE i32x8 may_cover(const f32x8* u, const f32x8* v, const i32x8& x0, const i32x8& y0, float margin) {
+    const f32x8 x = number<f32x8>(x0) + 0.5f, y = number<f32x8>(y0) + 0.5f, zero{};
+    const f32x8 area = (u[1] - u[0]) * (v[2] - v[0]) - (v[1] - v[0]) * (u[2] - u[0]);
+    const f32x8 turn = select(area < zero, splat<f32x8>(-1), splat<f32x8>(1));
+    f32x8 e[3], right[3], below[3];
+    for (int k = 0; k < 3; ++k) {
+        const f32x8 du = turn * (u[(k + 1) % 3] - u[k]), dv = turn * (v[(k + 1) % 3] - v[k]);
+        const f32x8 slack = margin * (greatest_of(du, -du) + greatest_of(dv, -dv));
+        e[k] = du * (y - v[k]) - dv * (x - u[k]) + slack;
+        right[k] = -dv, below[k] = du;
+    }
+    const auto inside = [](const f32x8& e0, const f32x8& e1, const f32x8& e2) NMBG_INLINE_LAMBDA {
+        return ~(least_of(least_of(e0, e1), e2) < f32x8{});
+    };
+    i32x8 any = inside(e[0], e[1], e[2]) | inside(e[0] + right[0], e[1] + right[1], e[2] + right[2]);
+    for (int k = 0; k < 3; ++k) e[k] += below[k];
+    any |= inside(e[0], e[1], e[2]) | inside(e[0] + right[0], e[1] + right[1], e[2] + right[2]);
+    return any;
 }
 
-inline void place(const Extents& extents, int n, const Level& level, int32_t* holder) {
+inline void place(const Outlines& outlines, int n, const Level& level, Places& out) {
     const Tiling& tiling = level.tiling;
     const int down = tiling.log_height(), across = tiling.log_width(), columns = tiling.columns();
+    const auto scale = static_cast<float>(level.scale);
+    const i32x8 several = splat<i32x8>(Places::several_tiles);
     for (int i = 0; i < n; i += wide) {
-        const Box<i32x8> box = box_at<f32x8>(extents, i, level);
+        f32x8 u[3], v[3];
+        for (int k = 0; k < 3; ++k)
+            u[k] = scale * load<f32x8>(outlines.u[k] + i), v[k] = scale * load<f32x8>(outlines.v[k] + i);
+        const Box<i32x8> box = pixels_within<f32x8>(
+            least_of(least_of(u[0], u[1]), u[2]), least_of(least_of(v[0], v[1]), v[2]),
+            greatest_of(greatest_of(u[0], u[1]), u[2]), greatest_of(greatest_of(v[0], v[1]), v[2]), level.width,
+            level.height);
+        const f32x8 sum = u[0] + u[1] + u[2];
+        const i32x8 unknown = sum != sum;
+        const i32x8 empty = (box.x0 >= box.x1) | (box.y0 >= box.y1);
+        out.drawn[i / wide] = 0;
+        if (!any_of(unknown | ~empty)) continue;
+        const i32x8 small = (box.x1 - box.x0 <= 2) & (box.y1 - box.y0 <= 2);
+        const i32x8 missed =
+            small & ~may_cover(u, v, box.x0, box.y0, margin_of(level.width, level.height));
         const i32x8 first = (box.y0 >> down) * columns + (box.x0 >> across);
         const i32x8 last = ((box.y1 - 1) >> down) * columns + ((box.x1 - 1) >> across);
-        const i32x8 one = select(first == last, first, splat<i32x8>(several_tiles));
-        const i32x8 known = select((box.x0 >= box.x1) | (box.y0 >= box.y1), splat<i32x8>(no_tile), one);
-        const f32x8 umin = load<f32x8>(extents.umin + i);
-        store(select(umin == umin, known, splat<i32x8>(several_tiles)), holder + i);
+        const i32x8 one = select(first == last, first, several);
+        out.drawn[i / wide] = static_cast<uint8_t>(bits_of(unknown | ~(empty | missed)));
+        store(select(unknown, several, one), out.tile + i);
+        store(box.x0, out.x0 + i), store(box.y0, out.y0 + i);
+        store(box.x1, out.x1 + i), store(box.y1, out.y1 + i);
     }
 }
 

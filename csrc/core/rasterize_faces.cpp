@@ -1,10 +1,10 @@
 #include "core/rasterize_faces.h"
 
 #include <algorithm>
-#include <array>
+#include <bit>
 #include <cmath>
 #include <limits>
-#include <vector>
+#include <memory>
 
 #include "core/bins.h"
 #include "core/check.h"
@@ -43,31 +43,30 @@ void rasterize_faces(const FacesView<T>& view, const FacesResult<T>& out) {
     const Pyramid pyramid(view.height, view.width, view.levels);
     if (view.count && !view.vertices) checked("faces", view.faces[0], 0, 0);
 
-    std::vector<Screen> screen(view.vertices);
+    const auto screen = std::make_unique_for_overwrite<Screen[]>(view.vertices);
     parallel_blocks(view.vertices, view.threads, [&](int64_t begin, int64_t end) {
-        project(view.h + 3 * begin, end - begin, screen.data() + begin);
+        project(view.h + 3 * begin, end - begin, screen.get() + begin);
     });
 
     const auto list = [&](int64_t begin, int64_t end, const auto& put) {
-        Extents extents;
-        std::array<int32_t, Extents::most> holder, kept;
-        for (int64_t first = begin; first < end; first += Extents::most) {
-            const int n = static_cast<int>(std::min<int64_t>(Extents::most, end - first));
+        Outlines outlines;
+        Places places;
+        for (int64_t first = begin; first < end; first += Outlines::most) {
+            const int n = static_cast<int>(std::min<int64_t>(Outlines::most, end - first));
             const int32_t* faces = view.faces + 3 * first;
-            if (!measure(screen.data(), static_cast<uint32_t>(view.vertices - 1), faces, n, extents))
+            if (!outline(screen.get(), static_cast<int32_t>(view.vertices - 1), faces, n, outlines))
                 for (int i = 0; i < 3 * n; ++i) checked("faces", faces[i], 0, view.vertices);
             for (const Level& level : pyramid.levels()) {
-                place(extents, n, level, holder.data());
-                // Most faces hold no pixel centre: they are passed over without a branch.
-                int count = 0;
-                for (int i = 0; i < n; ++i) kept[count] = i, count += holder[i] != no_tile;
-                for (int j = 0; j < count; ++j) {
-                    const int i = kept[j];
-                    if (holder[i] != several_tiles)
-                        put(level.first_tile + holder[i], static_cast<int32_t>(first + i));
-                    else
-                        spread(view, level, first + i, box_of(extents, i, level), extents.in_front(i), put);
-                }
+                place(outlines, n, level, places);
+                for (int eight = 0; eight < n; eight += 8)
+                    for (unsigned drawn = places.drawn[eight / 8]; drawn; drawn &= drawn - 1) {
+                        const int i = eight + std::countr_zero(drawn);
+                        if (i >= n) break;
+                        if (places.tile[i] != Places::several_tiles)
+                            put(level.first_tile + places.tile[i], static_cast<int32_t>(first + i));
+                        else
+                            spread(view, level, first + i, places.box(i), outlines.in_front(i), put);
+                    }
             }
         }
     };
