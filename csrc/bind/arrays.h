@@ -69,9 +69,16 @@ inline void check_size(int64_t height, int64_t width) {
 }
 
 inline void check_count(int64_t count, const char* name) {
-    if (count > std::numeric_limits<int32_t>::max())
-        throw py::value_error(std::string(name) + ": expected at most 2^31 - 1 rows, got " +
+    // Their elements are counted in 32 bits.
+    if (count > std::numeric_limits<int32_t>::max() / 3)
+        throw py::value_error(std::string(name) + ": expected at most (2^31 - 1) / 3 rows, got " +
                               std::to_string(count));
+}
+
+// More would all be images of one pixel.
+inline void check_levels(int levels) {
+    if (levels < 1 || levels > 32)
+        throw py::value_error("levels: expected 1 to 32, got " + std::to_string(levels));
 }
 
 inline void check_threads(int threads) {

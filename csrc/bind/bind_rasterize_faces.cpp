@@ -9,7 +9,7 @@ template <class T>
 FacesView<T> faces_view(const py::array& h, const py::array& faces, int64_t height, int64_t width, int levels,
                         int threads) {
     check_size(height, width);
-    if (levels < 1) throw py::value_error("levels: expected 1 or more, got " + std::to_string(levels));
+    check_levels(levels);
     check_threads(threads);
     const T* h_data = elements<T>(h, "h", {any, 3});
     const int32_t* faces_data = elements<int32_t>(faces, "faces", {any, 3});

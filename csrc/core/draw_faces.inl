@@ -2,12 +2,6 @@
 
 namespace nmbg::NMBG_ISA {
 
-NMBG_INLINE f64x8 doubles(const f32x8& x) { return __builtin_convertvector(x, f64x8); }
-NMBG_INLINE f64x8 doubles(const f64x8& x) { return x; }
-
-template <class T>
-using eight = std::conditional_t<std::is_same_v<T, float>, f32x8, f64x8>;
-
 // Eight faces: their edges, and the pixels of the tile that they may reach.
 struct Batch {
     Triangle<f64x8> t;
@@ -74,14 +68,14 @@ NMBG_INLINE Batch prepare(const FacesView<T>& view, const Level& level, const Pi
         greatest_of(greatest_of(u[0], u[1]), u[2]), greatest_of(greatest_of(v[0], v[1]), v[2]), level.width,
         level.height);
     // What crosses the camera plane may reach the whole tile.
-    const i32x8 bounded = narrower(front);
+    const i32x8 bounded = narrow(front);
     const i32x8 left = i32x8{} + tile.x0, top = i32x8{} + tile.y0;
     const i32x8 right = i32x8{} + tile.x1, bottom = i32x8{} + tile.y1;
     Box<i32x8>& reach = batch.reach;
     reach = {select(bounded & (near.x0 > left), near.x0, left), select(bounded & (near.y0 > top), near.y0, top),
              select(bounded & (near.x1 < right), near.x1, right),
              select(bounded & (near.y1 < bottom), near.y1, bottom)};
-    const i32x8 drawn = narrower(batch.t.drawable());
+    const i32x8 drawn = narrow(batch.t.drawable());
     reach.x1 = select(drawn, reach.x1, reach.x0);
     batch.small = (reach.x1 - reach.x0 <= 4) & (reach.y1 - reach.y0 <= 4);
     batch.near = near_small(batch);
@@ -132,7 +126,7 @@ NMBG_INLINE void draw_rows(const Batch& batch, int i, int32_t face, const PixelB
             store(select(wins, e1, load<f64x8>(&tile.e1[at])), &tile.e1[at]);
             store(select(wins, e2, load<f64x8>(&tile.e2[at])), &tile.e2[at]);
             const i32x8 before = load<i32x8>(&tile.face[at]);
-            store(select(narrower(wins), i32x8{} + face, before), &tile.face[at]);
+            store(select(narrow(wins), i32x8{} + face, before), &tile.face[at]);
         }
     }
 }

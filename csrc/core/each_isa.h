@@ -1,8 +1,10 @@
 // Compiles the file NMBG_FILE for each instruction set, into namespaces portable, avx2 and avx512 of nmbg: one
 // binary for all x86-64. To be included once, after all other headers.
+#include "core/places.h"
 #include "core/portable.h"
 
 #define NMBG_ISA portable
+#include "core/places.inl"
 #include NMBG_FILE
 #undef NMBG_ISA
 
@@ -20,6 +22,7 @@
 #define NMBG_ISA avx2
 #include "core/lanes.inl"
 #include "core/triangle.inl"
+#include "core/places.inl"
 #include NMBG_FILE
 #undef NMBG_ISA
 #ifdef __clang__
@@ -34,6 +37,7 @@
 #define NMBG_ISA avx512
 #include "core/lanes.inl"
 #include "core/triangle.inl"
+#include "core/places.inl"
 #include NMBG_FILE
 #undef NMBG_ISA
 #undef NMBG_AVX2

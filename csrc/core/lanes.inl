@@ -56,6 +56,14 @@ NMBG_INLINE S greatest_of(const S& a, const S& b) {
     return select(a < b, b, a);
 }
 
+// Eight numbers of type T, and as doubles.
+template <class T>
+using eight = std::conditional_t<std::is_same_v<T, float>, f32x8, f64x8>;
+NMBG_INLINE f64x8 doubles(const f32x8& x) { return __builtin_convertvector(x, f64x8); }
+NMBG_INLINE f64x8 doubles(const f64x8& x) { return x; }
+NMBG_INLINE f32x8 floats(const f32x8& x) { return x; }
+NMBG_INLINE f32x8 floats(const f64x8& x) { return __builtin_convertvector(x, f32x8); }
+
 // 1 where the comparison holds, else 0.
 NMBG_INLINE int32_t one_where(bool holds) { return holds; }
 NMBG_INLINE i32x8 one_where(const i32x8& mask) { return -mask; }
@@ -74,7 +82,8 @@ template <class S>
 NMBG_INLINE S number(const i32x8& i) {
     return __builtin_convertvector(i, S);
 }
-NMBG_INLINE i32x8 narrower(const i64x8& i) { return __builtin_convertvector(i, i32x8); }
+NMBG_INLINE i32x8 narrow(const i64x8& i) { return __builtin_convertvector(i, i32x8); }
+NMBG_INLINE i32x8 narrow(const i32x8& i) { return i; }
 
 // A bit for each element of a mask, the lowest for the first.
 NMBG_INLINE uint32_t bits_of(const i64x8& mask) {

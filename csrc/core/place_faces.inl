@@ -54,10 +54,7 @@ NMBG_INLINE i32x8 may_cover(const f32x8* u, const f32x8* v, const i32x8& x0, con
 }
 
 inline void place(const Outlines& outlines, int n, const Level& level, Places& out) {
-    const Tiling& tiling = level.tiling;
-    const int down = tiling.log_height(), across = tiling.log_width(), columns = tiling.columns();
     const auto scale = static_cast<float>(level.scale);
-    const i32x8 several = splat<i32x8>(Places::several_tiles);
     for (int i = 0; i < n; i += wide) {
         f32x8 u[3], v[3];
         for (int k = 0; k < 3; ++k)
@@ -68,19 +65,11 @@ inline void place(const Outlines& outlines, int n, const Level& level, Places& o
             level.height);
         const f32x8 sum = u[0] + u[1] + u[2];
         const i32x8 unknown = sum != sum;
-        const i32x8 empty = (box.x0 >= box.x1) | (box.y0 >= box.y1);
-        out.drawn[i / wide] = 0;
-        if (!any_of(unknown | ~empty)) continue;
-        const i32x8 small = (box.x1 - box.x0 <= 2) & (box.y1 - box.y0 <= 2);
-        const i32x8 missed =
-            small & ~may_cover(u, v, box.x0, box.y0, margin_of(level.width, level.height));
-        const i32x8 first = (box.y0 >> down) * columns + (box.x0 >> across);
-        const i32x8 last = ((box.y1 - 1) >> down) * columns + ((box.x1 - 1) >> across);
-        const i32x8 one = select(first == last, first, several);
-        out.drawn[i / wide] = static_cast<uint8_t>(bits_of(unknown | ~(empty | missed)));
-        store(select(unknown, several, one), out.tile + i);
-        store(box.x0, out.x0 + i), store(box.y0, out.y0 + i);
-        store(box.x1, out.x1 + i), store(box.y1, out.y1 + i);
+        const auto missed = [&] NMBG_INLINE_LAMBDA {
+            const i32x8 small = (box.x1 - box.x0 <= 2) & (box.y1 - box.y0 <= 2);
+            return small & ~may_cover(u, v, box.x0, box.y0, margin_of(level.width, level.height));
+        };
+        store_places(box, unknown, missed, level.tiling, i, out);
     }
 }
 

@@ -1,7 +1,6 @@
 // The images of a pyramid, one after another in memory, and the tiles of all of them.
 #pragma once
 
-#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <vector>
@@ -24,7 +23,7 @@ class Pyramid {
   public:
     Pyramid(int32_t height, int32_t width, int levels) {
         for (int k = 0; k < levels; ++k) {
-            const auto size = [k](int32_t whole) { return ((whole - 1) >> std::min(k, 31)) + 1; };
+            const auto size = [k](int32_t whole) { return ((whole - 1) >> k) + 1; };
             const int32_t h = size(height), w = size(width);
             levels_.push_back({h, w, std::ldexp(1.0, -k), pixels_, tiles_, Tiling(h, w)});
             pixels_ += int64_t{h} * w;

@@ -1,7 +1,6 @@
 #include "core/rasterize_faces.h"
 
 #include <algorithm>
-#include <bit>
 #include <cmath>
 #include <limits>
 #include <memory>
@@ -51,22 +50,19 @@ void rasterize_faces(const FacesView<T>& view, const FacesResult<T>& out) {
     const auto list = [&](int64_t begin, int64_t end, const auto& put) {
         Outlines outlines;
         Places places;
-        for (int64_t first = begin; first < end; first += Outlines::most) {
-            const int n = static_cast<int>(std::min<int64_t>(Outlines::most, end - first));
+        for (int64_t first = begin; first < end; first += Places::most) {
+            const int n = static_cast<int>(std::min<int64_t>(Places::most, end - first));
             const int32_t* faces = view.faces + 3 * first;
             if (!outline(screen.get(), static_cast<int32_t>(view.vertices - 1), faces, n, outlines))
                 for (int i = 0; i < 3 * n; ++i) checked("faces", faces[i], 0, view.vertices);
             for (const Level& level : pyramid.levels()) {
                 place(outlines, n, level, places);
-                for (int eight = 0; eight < n; eight += 8)
-                    for (unsigned drawn = places.drawn[eight / 8]; drawn; drawn &= drawn - 1) {
-                        const int i = eight + std::countr_zero(drawn);
-                        if (i >= n) break;
-                        if (places.tile[i] != Places::several_tiles)
-                            put(level.first_tile + places.tile[i], static_cast<int32_t>(first + i));
-                        else
-                            spread(view, level, first + i, places.box(i), outlines.in_front(i), put);
-                    }
+                places.for_each(n, [&](int i) {
+                    if (places.tile[i] != Places::several_tiles)
+                        put(level.first_tile + places.tile[i], static_cast<int32_t>(first + i));
+                    else
+                        spread(view, level, first + i, places.box(i), outlines.in_front(i), put);
+                });
             }
         }
     };

@@ -13,10 +13,17 @@ openmp: bool
 simd: str
 
 def rasterize_points(
-    h: _Float, radius_px: float, height: int, width: int, threads: int
+    h: _Float, radius_px: float, height: int, width: int, levels: int, threads: int
 ) -> tuple[_Int, _Float]: ...
 def rasterize_points_backward(
-    h: _Float, radius_px: float, index: _Int, grad_dist2: _Float, threads: int
+    h: _Float,
+    radius_px: float,
+    height: int,
+    width: int,
+    levels: int,
+    index: _Int,
+    grad_dist2: _Float,
+    threads: int,
 ) -> _Float: ...
 def rasterize_faces(
     h: _Float, faces: _Int, height: int, width: int, levels: int, threads: int

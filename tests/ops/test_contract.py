@@ -123,8 +123,9 @@ def test_torch_library_contract(random_scene, unit_rays):
     to_pixels = (grad[:, :5, :6].contiguous(), grad[0, :5, :6].contiguous(), grad[1, :5, :6].contiguous())
     down = (*to_pixels, sources, depth, warps, K)
     calls = [
-        (ops.rasterize_points, (grad_h, 1.0, 7, 9)),
-        (ops.rasterize_points_backward, (h, 1.0, index, dist2)),
+        (ops.rasterize_points, (grad_h, 1.0, 7, 9, 1)),
+        (ops.rasterize_points, (grad_h, 1.0, 7, 9, 3)),
+        (ops.rasterize_points_backward, (h, 1.0, 7, 9, 1, index.flatten(), dist2.flatten())),
         (ops.rasterize_faces, (grad_h, faces, 7, 9, 1)),
         (ops.rasterize_faces, (grad_h, faces, 7, 9, 3)),
         (
@@ -269,7 +270,7 @@ def test_backward_checks_indices_too(random_scene):
     with pytest.raises(ValueError, match=r"face: .*\[21\]"):
         torch.ops.nmbg.rasterize_faces_backward(h, faces, 4, 4, 3, beyond, grad, grad[:, 0])
     with pytest.raises(ValueError, match=r"index: .*got 80"):
-        torch.ops.nmbg.rasterize_points_backward(h, 1.0, beyond.view(4, 4), grad[:, 0].reshape(4, 4))
+        torch.ops.nmbg.rasterize_points_backward(h, 1.0, 4, 4, 1, beyond, grad[:, 0])
     depth, warps, K, focal, photos, depths = blending(2, 4, 4, torch.float64)
     to_colour, to_pixel = torch.ones(3, 4, 4, dtype=torch.float64), torch.ones(4, 4, dtype=torch.float64)
     rest = (depth, warps, K, photos, depths, focal, 2, 0.1, 0.02, 8.0)
@@ -296,7 +297,7 @@ def test_the_twins_have_the_same_signatures():
 
 def test_threads_must_be_positive():
     with pytest.raises(ValueError, match=r"threads: .*0"):
-        _core.rasterize_points(CORNERS.numpy(), 1.0, 2, 2, 0)
+        _core.rasterize_points(CORNERS.numpy(), 1.0, 2, 2, 1, 0)
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")

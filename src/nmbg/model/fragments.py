@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -10,7 +10,7 @@ from torch import Tensor
 from nmbg.cameras import Camera
 from nmbg.mesh import Mesh
 from nmbg.model.config import ModelConfig
-from nmbg.ops import FaceHits, rasterize_faces_pyramid, rasterize_points
+from nmbg.ops import FaceHits, rasterize_faces_pyramid, rasterize_points_pyramid
 
 
 @dataclass(frozen=True)
@@ -26,10 +26,10 @@ class LevelFragments:
     """
 
     camera: Camera
-    index: Tensor | None
-    weight: Tensor | None
-    face: Tensor | None
-    bary: Tensor | None
+    index: Tensor | None = None
+    weight: Tensor | None = None
+    face: Tensor | None = None
+    bary: Tensor | None = None
 
 
 @dataclass(frozen=True)
@@ -69,17 +69,17 @@ def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig) -> LayerFra
     faces = torch.from_numpy(mesh.faces)
     vertices = torch.from_numpy(mesh.vertices)
     views = [camera.level(k) for k in range(config.rasterized_levels)]
-    hits = _see_faces(vertices, faces, camera, config, len(views)) if config.faces else [None] * len(views)
-    radius = config.radius_px(camera.width, camera.height)
-    levels = []
-    for view, seen in zip(views, hits, strict=True):
-        index = weight = face = bary = None
-        if config.points:
-            index, dist2 = rasterize_points(view.project(vertices), radius, view.height, view.width)
+    levels = [LevelFragments(view) for view in views]
+    if config.points:
+        radius = config.radius_px(camera.width, camera.height)
+        h = camera.project(vertices)
+        points = rasterize_points_pyramid(h, radius, camera.height, camera.width, len(views))
+        for k, (index, dist2) in enumerate(points):
             weight = 1 - dist2 / radius**2 if config.point_weight else torch.ones_like(dist2)
-        if seen is not None:
-            face, bary, _ = seen
-        levels.append(LevelFragments(view, index, weight, face, bary))
+            levels[k] = replace(levels[k], index=index, weight=weight)
+    if config.faces:
+        for k, (face, bary, _) in enumerate(_see_faces(vertices, faces, camera, config, len(views))):
+            levels[k] = replace(levels[k], face=face, bary=bary)
     return _compact(levels, faces, len(vertices))
 
 
@@ -96,7 +96,7 @@ def rasterize_once(mesh: Mesh, camera: Camera, config: ModelConfig) -> LayerFrag
     # Where samples are averaged, none of them stands at a pixel's centre: a coarser level's do.
     halvings = config.supersample.bit_length() - 1
     hits = _see_faces(vertices, faces, camera, config, 1 + halvings)
-    level = LevelFragments(camera, None, None, hits[0].face, hits[0].bary)
+    level = LevelFragments(camera, face=hits[0].face, bary=hits[0].bary)
     return LayerFragments(torch.arange(len(vertices)), faces, [level], hits[-1].depth)
 
 

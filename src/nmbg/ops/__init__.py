@@ -1,17 +1,26 @@
 """Torch ops over the C++ kernels; reference.py holds their plain-torch twins, which are the specification."""
 
 from nmbg.ops.blend import Blend, blend_photos, mip_chain
-from nmbg.ops.rasterize import FaceHits, rasterize_faces, rasterize_faces_pyramid, rasterize_points
+from nmbg.ops.rasterize import (
+    FaceHits,
+    PointHits,
+    rasterize_faces,
+    rasterize_faces_pyramid,
+    rasterize_points,
+    rasterize_points_pyramid,
+)
 from nmbg.ops.shade import scatter_faces, shade_faces, shade_points
 
 __all__ = [
     "Blend",
     "FaceHits",
+    "PointHits",
     "blend_photos",
     "mip_chain",
     "rasterize_faces",
     "rasterize_faces_pyramid",
     "rasterize_points",
+    "rasterize_points_pyramid",
     "scatter_faces",
     "shade_faces",
     "shade_points",

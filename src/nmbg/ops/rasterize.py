@@ -14,22 +14,32 @@ from nmbg.ops._arrays import array
 
 
 @torch.library.custom_op("nmbg::rasterize_points", mutates_args=(), device_types="cpu")
-def _rasterize_points(h: Tensor, radius_px: float, height: int, width: int) -> tuple[Tensor, Tensor]:
-    index, dist2 = _core.rasterize_points(array("h", h), radius_px, height, width, torch.get_num_threads())
+def _rasterize_points(
+    h: Tensor, radius_px: float, height: int, width: int, levels: int
+) -> tuple[Tensor, Tensor]:
+    index, dist2 = _core.rasterize_points(
+        array("h", h), radius_px, height, width, levels, torch.get_num_threads()
+    )
     return torch.from_numpy(dist2), torch.from_numpy(index)
 
 
 @_rasterize_points.register_fake
-def _(h: Tensor, radius_px: float, height: int, width: int) -> tuple[Tensor, Tensor]:
-    return h.new_empty((height, width)), h.new_empty((height, width), dtype=torch.int32)
+def _(h: Tensor, radius_px: float, height: int, width: int, levels: int) -> tuple[Tensor, Tensor]:
+    pixels = sum(rows * columns for rows, columns in _sizes(height, width, levels))
+    return h.new_empty(pixels), h.new_empty(pixels, dtype=torch.int32)
 
 
 @torch.library.custom_op("nmbg::rasterize_points_backward", mutates_args=(), device_types="cpu")
-def _rasterize_points_backward(h: Tensor, radius_px: float, index: Tensor, grad_dist2: Tensor) -> Tensor:
+def _rasterize_points_backward(
+    h: Tensor, radius_px: float, height: int, width: int, levels: int, index: Tensor, grad_dist2: Tensor
+) -> Tensor:
     return torch.from_numpy(
         _core.rasterize_points_backward(
             array("h", h),
             radius_px,
+            height,
+            width,
+            levels,
             array("index", index),
             array("grad_dist2", grad_dist2),
             torch.get_num_threads(),
@@ -38,20 +48,26 @@ def _rasterize_points_backward(h: Tensor, radius_px: float, index: Tensor, grad_
 
 
 @_rasterize_points_backward.register_fake
-def _(h: Tensor, radius_px: float, index: Tensor, grad_dist2: Tensor) -> Tensor:
+def _(
+    h: Tensor, radius_px: float, height: int, width: int, levels: int, index: Tensor, grad_dist2: Tensor
+) -> Tensor:
     return h.new_empty(h.shape)
 
 
-def _save_points(ctx: Any, inputs: tuple[Tensor, float, int, int], output: tuple[Tensor, Tensor]) -> None:
-    h, ctx.radius_px, _, _ = inputs
+def _save_points(
+    ctx: Any, inputs: tuple[Tensor, float, int, int, int], output: tuple[Tensor, Tensor]
+) -> None:
+    h, *ctx.drawing = inputs
     _, index = output
     ctx.mark_non_differentiable(index)
     ctx.save_for_backward(h, index)
 
 
-def _grad_points(ctx: Any, grad_dist2: Tensor, _: Tensor | None) -> tuple[Tensor, None, None, None]:
+def _grad_points(
+    ctx: Any, grad_dist2: Tensor, _: Tensor | None
+) -> tuple[Tensor, None, None, None, None]:
     h, index = ctx.saved_tensors
-    return _rasterize_points_backward(h, ctx.radius_px, index, grad_dist2), None, None, None
+    return _rasterize_points_backward(h, *ctx.drawing, index, grad_dist2), None, None, None, None
 
 
 _rasterize_points.register_autograd(_grad_points, setup_context=_save_points)
@@ -138,12 +154,24 @@ def _sizes(height: int, width: int, levels: int) -> list[tuple[int, int]]:
     return [(-(-height // 2**k), -(-width // 2**k)) for k in range(levels)]
 
 
+class PointHits(NamedTuple):
+    """The points that the pixels of an image see.
+
+    Args:
+        index: [H, W] int32, the point of the smallest z (of equal ones, the lowest index), −1 where none.
+        dist2: [H, W] squared distance from the projected point to the pixel centre in px², 0 where none.
+    """
+
+    index: Tensor
+    dist2: Tensor
+
+
 def rasterize_points(
     h: Tensor,  # [N, 3]
     radius_px: float,
     height: int,
     width: int,
-) -> tuple[Tensor, Tensor]:  # [H, W], [H, W]
+) -> PointHits:
     """The nearest point whose projection lies within a radius of each pixel centre.
 
     Args:
@@ -154,15 +182,40 @@ def rasterize_points(
         width: image width in pixels.
 
     Returns:
-        index: [H, W] int32, the point of the smallest z (of equal ones, the lowest index), −1 where none.
-        dist2: [H, W] in the dtype of `h`, squared distance to the pixel centre in px², 0 where none;
-            differentiable with respect to `h`.
+        What each pixel sees; `dist2` has the dtype of `h` and is differentiable with respect to it.
 
     Raises:
         TypeError, ValueError: an argument of another dtype, shape or range than said here.
     """
-    dist2, index = _rasterize_points(h, radius_px, height, width)
-    return index, dist2
+    return rasterize_points_pyramid(h, radius_px, height, width, 1)[0]
+
+
+def rasterize_points_pyramid(
+    h: Tensor,  # [N, 3]
+    radius_px: float,
+    height: int,
+    width: int,
+    levels: int,
+) -> list[PointHits]:
+    """rasterize_points() for an image and its halvings: level k shows (u, v) / 2ᵏ on ⌈size / 2ᵏ⌉ pixels.
+
+    Args:
+        h: [N, 3] float32 or float64, homogeneous pixels of the finest level.
+        radius_px: of the discs, in pixels of each level.
+        height: finest image height in pixels.
+        width: finest image width in pixels.
+        levels: how many images.
+
+    Returns:
+        What each pixel sees per level, finest first, as rasterize_points() returns it.
+
+    Raises:
+        TypeError, ValueError: an argument of another dtype, shape or range than said here.
+    """
+    dist2, index = _rasterize_points(h, radius_px, height, width, levels)
+    sizes = _sizes(height, width, levels)
+    parts = [part.split([rows * columns for rows, columns in sizes]) for part in (index, dist2)]
+    return [PointHits(i.view(size), d.view(size)) for i, d, size in zip(*parts, sizes, strict=True)]
 
 
 class FaceHits(NamedTuple):

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from nmbg.ops.blend import Blend
-from nmbg.ops.rasterize import FaceHits
+from nmbg.ops.rasterize import FaceHits, PointHits
 
 __all__ = [
     "blend_photos",
@@ -20,6 +20,7 @@ __all__ = [
     "rasterize_faces",
     "rasterize_faces_pyramid",
     "rasterize_points",
+    "rasterize_points_pyramid",
     "shade_faces",
     "shade_points",
 ]
@@ -43,7 +44,7 @@ def _update(nearest: Tensor, index: Tensor, depth: Tensor, first: int) -> tuple[
     return torch.where(closer, z, nearest), torch.where(closer, first + best, index)
 
 
-def rasterize_points(h: Tensor, radius_px: float, height: int, width: int) -> tuple[Tensor, Tensor]:
+def rasterize_points(h: Tensor, radius_px: float, height: int, width: int) -> PointHits:
     """See nmbg.ops.rasterize_points()."""
     x, y = _centres(height, width, h)
     uv = h[:, :2] / h[:, 2:]
@@ -66,7 +67,22 @@ def rasterize_points(h: Tensor, radius_px: float, height: int, width: int) -> tu
 
     seen = index >= 0
     d2 = squared_distance(uv[index.clamp(min=0)]) if h.shape[0] else h.new_zeros(height, width)
-    return index.int(), torch.where(seen, d2, 0)
+    return PointHits(index.int(), torch.where(seen, d2, 0))
+
+
+def rasterize_points_pyramid(
+    h: Tensor, radius_px: float, height: int, width: int, levels: int
+) -> list[PointHits]:
+    """See nmbg.ops.rasterize_points_pyramid()."""
+    return [
+        rasterize_points(part, radius_px, -(-height // 2**k), -(-width // 2**k))
+        for k, part in enumerate(_halved(h, levels))
+    ]
+
+
+def _halved(h: Tensor, levels: int) -> list[Tensor]:
+    """Homogeneous pixels of each level."""
+    return [h * h.new_tensor([0.5**k, 0.5**k, 1]) for k in range(levels)]
 
 
 def _edges(h: Tensor, faces: Tensor) -> tuple[Tensor, Tensor]:
@@ -119,9 +135,9 @@ def rasterize_faces(h: Tensor, faces: Tensor, height: int, width: int) -> FaceHi
 
 def rasterize_faces_pyramid(h: Tensor, faces: Tensor, height: int, width: int, levels: int) -> list[FaceHits]:
     """See nmbg.ops.rasterize_faces_pyramid()."""
-    halved = [h * h.new_tensor([0.5**k, 0.5**k, 1]) for k in range(levels)]
     return [
-        rasterize_faces(part, faces, -(-height // 2**k), -(-width // 2**k)) for k, part in enumerate(halved)
+        rasterize_faces(part, faces, -(-height // 2**k), -(-width // 2**k))
+        for k, part in enumerate(_halved(h, levels))
     ]
 
 

@@ -1,0 +1,31 @@
+#include "core/draw_discs.h"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#define NMBG_FILE "core/draw_discs.inl"
+#include "core/each_isa.h"
+
+namespace nmbg {
+
+void project(const float* h, int n, Points<float>& out) { NMBG_DISPATCH(project(h, n, out)); }
+void project(const double* h, int n, Points<double>& out) { portable::project_points(h, n, out); }
+
+void place(const Points<float>& points, int n, double radius, const Level& level, Places& out) {
+    NMBG_DISPATCH(place(points, n, radius, level, out));
+}
+void place(const Points<double>& points, int n, double radius, const Level& level, Places& out) {
+    portable::place_discs(points, n, radius, level, out);
+}
+
+void draw_discs(const Level& level, const PixelBox& box, double radius, std::span<const Disc<float>> discs,
+                int32_t* index, float* dist2) {
+    NMBG_DISPATCH(draw_discs(level, box, radius, discs, index, dist2));
+}
+void draw_discs(const Level& level, const PixelBox& box, double radius, std::span<const Disc<double>> discs,
+                int32_t* index, double* dist2) {
+    portable::draw_any_discs(level, box, radius, discs, index, dist2);
+}
+
+}  // namespace nmbg
