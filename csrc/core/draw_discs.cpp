@@ -19,13 +19,13 @@ void place(const Points<double>& points, int n, double radius, const Level& leve
     portable::place_discs(points, n, radius, level, out);
 }
 
-void draw_discs(const Level& level, const PixelBox& box, double radius, std::span<const Disc<float>> discs,
-                int32_t* index, float* dist2) {
-    NMBG_DISPATCH(draw_discs(level, box, radius, discs, index, dist2));
+void draw_discs(const PointsView<float>& view, const Level& level, const PixelBox& box,
+                std::span<const int32_t> points, int32_t* index, float* dist2) {
+    NMBG_DISPATCH(draw_discs(view, level, box, points, index, dist2));
 }
-void draw_discs(const Level& level, const PixelBox& box, double radius, std::span<const Disc<double>> discs,
-                int32_t* index, double* dist2) {
-    portable::draw_any_discs(level, box, radius, discs, index, dist2);
+void draw_discs(const PointsView<double>& view, const Level& level, const PixelBox& box,
+                std::span<const int32_t> points, int32_t* index, double* dist2) {
+    portable::draw_any_discs(view, level, box, points, index, dist2);
 }
 
 }  // namespace nmbg

@@ -6,15 +6,9 @@
 
 #include "core/places.h"
 #include "core/pyramid.h"
+#include "core/rasterize_points.h"
 
 namespace nmbg {
-
-// A projected point in the pixels of a level.
-template <class T>
-struct Disc {
-    T u, v, z;
-    int32_t point;
-};
 
 // Some projected points in the pixels of the finest level.
 template <class T>
@@ -30,11 +24,11 @@ void project(const double* h, int n, Points<double>& out);
 void place(const Points<float>& points, int n, double radius, const Level& level, Places& out);
 void place(const Points<double>& points, int n, double radius, const Level& level, Places& out);
 
-// Draws discs, in ascending order of point, into the tile `box` of a level, and writes its pixels: index and
-// dist2 as for rasterize_points().
-void draw_discs(const Level& level, const PixelBox& box, double radius, std::span<const Disc<float>> discs,
-                int32_t* index, float* dist2);
-void draw_discs(const Level& level, const PixelBox& box, double radius, std::span<const Disc<double>> discs,
-                int32_t* index, double* dist2);
+// Draws the discs of points, in ascending order, into the tile `box` of a level, and writes its pixels: index
+// and dist2 as for rasterize_points(). All points must be in front of the camera.
+void draw_discs(const PointsView<float>& view, const Level& level, const PixelBox& box,
+                std::span<const int32_t> points, int32_t* index, float* dist2);
+void draw_discs(const PointsView<double>& view, const Level& level, const PixelBox& box,
+                std::span<const int32_t> points, int32_t* index, double* dist2);
 
 }  // namespace nmbg

@@ -26,8 +26,8 @@ NMBG_INLINE void place_discs(const Points<T>& points, int n, double radius, cons
 }
 
 template <class T>
-NMBG_INLINE void draw_any_discs(const Level& level, const PixelBox& tile, double radius,
-                                std::span<const Disc<T>> discs, int32_t* index, T* dist2) {
+NMBG_INLINE void draw_any_discs(const PointsView<T>& view, const Level& level, const PixelBox& tile,
+                                std::span<const int32_t> points, int32_t* index, T* dist2) {
     using V = eight<T>;
     alignas(64) T nearest[Tiling::pixels], apart[Tiling::pixels];
     alignas(64) int32_t point[Tiling::pixels];
@@ -38,24 +38,38 @@ NMBG_INLINE void draw_any_discs(const Level& level, const PixelBox& tile, double
         store(splat<i32x8>(-1), point + i);
     }
 
-    const auto r = static_cast<T>(radius), radius2 = static_cast<T>(radius * radius);
-    const V half = V{0, 1, 2, 3, 4, 5, 6, 7} + T(0.5);
-    for (const Disc<T>& disc : discs) {
-        const auto reach =
-            pixels_within<T>(disc.u - r, disc.v - r, disc.u + r, disc.v + r, level.width, level.height);
-        const int x0 = greatest_of(reach.x0, tile.x0) - tile.x0, x1 = least_of(reach.x1, tile.x1) - tile.x0;
-        const int y0 = greatest_of(reach.y0, tile.y0), y1 = least_of(reach.y1, tile.y1);
-        for (int32_t y = y0; y < y1; ++y) {
-            const T dy = disc.v - (static_cast<T>(y) + T(0.5));
-            for (int column = x0 / wide * wide; column < x1; column += wide) {
-                const V dx = disc.u - (half + static_cast<T>(tile.x0 + column));
-                const V d2 = dx * dx + dy * dy;
-                const int at = (y - tile.y0) * stride + column;
-                const V before = load<V>(nearest + at);
-                const auto wins = (d2 < radius2) & (disc.z < before);
-                store(select(wins, V{} + disc.z, before), nearest + at);
-                store(select(wins, d2, load<V>(apart + at)), apart + at);
-                store(select(narrow(wins), i32x8{} + disc.point, load<i32x8>(point + at)), point + at);
+    const auto radius2 = static_cast<T>(view.radius * view.radius);
+    const auto scale = static_cast<T>(level.scale);
+    const f32x8 r = splat<f32x8>(view.radius);
+    const V centres = V{0, 1, 2, 3, 4, 5, 6, 7} + T(0.5);
+    for (std::size_t begin = 0; begin < points.size(); begin += wide) {
+        const int n = static_cast<int>(std::min<std::size_t>(wide, points.size() - begin));
+        int32_t some[wide];
+        for (int i = 0; i < wide; ++i) some[i] = points[begin + std::min(i, n - 1)];
+        for (std::size_t i = begin + wide; i < std::min(begin + 2 * wide, points.size()); ++i)
+            __builtin_prefetch(view.h + 3 * int64_t{points[i]});
+
+        const i32x8 at_h = 3 * load<i32x8>(some);
+        const V z = gather<V>(view.h, at_h + 2);
+        const V u = gather<V>(view.h, at_h) / z * scale, v = gather<V>(view.h, at_h + 1) / z * scale;
+        const f32x8 fu = floats(u), fv = floats(v);
+        const Box<i32x8> reach = pixels_within<f32x8>(fu - r, fv - r, fu + r, fv + r, level.width, level.height);
+        for (int i = 0; i < n; ++i) {
+            const int x0 = std::max(reach.x0[i], tile.x0) - tile.x0, x1 = std::min(reach.x1[i], tile.x1) - tile.x0;
+            const int y0 = std::max(reach.y0[i], tile.y0), y1 = std::min(reach.y1[i], tile.y1);
+            const V x = V{} + u[i], depth = V{} + z[i];
+            for (int32_t y = y0; y < y1; ++y) {
+                const T dy = v[i] - (static_cast<T>(y) + T(0.5));
+                for (int column = x0 / wide * wide; column < x1; column += wide) {
+                    const V dx = x - (centres + static_cast<T>(tile.x0 + column));
+                    const V d2 = dx * dx + dy * dy;
+                    const int at = (y - tile.y0) * stride + column;
+                    const V before = load<V>(nearest + at);
+                    const auto wins = (d2 < radius2) & (depth < before);
+                    store(select(wins, depth, before), nearest + at);
+                    store(select(wins, d2, load<V>(apart + at)), apart + at);
+                    store(select(narrow(wins), i32x8{} + some[i], load<i32x8>(point + at)), point + at);
+                }
             }
         }
     }
@@ -72,9 +86,9 @@ inline void project(const float* h, int n, Points<float>& out) { project_points(
 inline void place(const Points<float>& points, int n, double radius, const Level& level, Places& out) {
     place_discs(points, n, radius, level, out);
 }
-inline void draw_discs(const Level& level, const PixelBox& box, double radius,
-                       std::span<const Disc<float>> discs, int32_t* index, float* dist2) {
-    draw_any_discs(level, box, radius, discs, index, dist2);
+inline void draw_discs(const PointsView<float>& view, const Level& level, const PixelBox& box,
+                       std::span<const int32_t> points, int32_t* index, float* dist2) {
+    draw_any_discs(view, level, box, points, index, dist2);
 }
 
 }  // namespace nmbg::NMBG_ISA

@@ -24,24 +24,22 @@ void rasterize_points(const PointsView<T>& view, int32_t* index, T* dist2) {
             project(view.h + 3 * first, n, points);
             for (const Level& level : pyramid.levels()) {
                 place(points, n, view.radius, level, places);
-                const auto scale = static_cast<T>(level.scale);
                 places.for_each(n, [&](int i) {
-                    const Disc<T> disc{points.u[i] * scale, points.v[i] * scale, points.z[i],
-                                       static_cast<int32_t>(first + i)};
+                    const auto point = static_cast<int32_t>(first + i);
                     if (places.tile[i] != Places::several_tiles)
-                        put(level.first_tile + places.tile[i], disc);
+                        put(level.first_tile + places.tile[i], point);
                     else
                         level.tiling.for_each(places.box(i),
-                                              [&](int64_t tile) { put(level.first_tile + tile, disc); });
+                                              [&](int64_t tile) { put(level.first_tile + tile, point); });
                 });
             }
         }
     };
-    const Bins<Disc<T>> bins(view.points, pyramid.tiles(), view.threads, list);
+    const Bins<int32_t> bins(view.points, pyramid.tiles(), view.threads, list);
 
     parallel_for(pyramid.tiles(), view.threads, [&](int64_t tile) {
         const Level& level = pyramid.of_tile(tile);
-        draw_discs(level, level.tiling.box(tile - level.first_tile), view.radius, bins[tile], index, dist2);
+        draw_discs(view, level, level.tiling.box(tile - level.first_tile), bins[tile], index, dist2);
     });
 }
 
