@@ -49,19 +49,19 @@
 #endif
 
 // Returns what the call gives, compiled for the widest vectors that the processor has.
-#define NMBG_DISPATCH(call)                                                                            \
+#define NMBG_DISPATCH(...)                                                                            \
     do {                                                                                               \
         static const bool has_512 = __builtin_cpu_supports("avx512f") &&                               \
                                     __builtin_cpu_supports("avx512vl") &&                              \
                                     __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq"); \
         static const bool has_2 = __builtin_cpu_supports("avx2");                                      \
-        if (has_512) return avx512::call;                                                              \
-        if (has_2) return avx2::call;                                                                  \
-        return portable::call;                                                                         \
+        if (has_512) return avx512::__VA_ARGS__;                                                              \
+        if (has_2) return avx2::__VA_ARGS__;                                                                  \
+        return portable::__VA_ARGS__;                                                                         \
     } while (false)
 
 #else
 
-#define NMBG_DISPATCH(call) return portable::call
+#define NMBG_DISPATCH(...) return portable::__VA_ARGS__
 
 #endif

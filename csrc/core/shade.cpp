@@ -2,14 +2,15 @@
 
 #include <algorithm>
 #include <array>
+#include <memory>
+#include <span>
 #include <stdexcept>
 #include <string>
-#include <vector>
 
-#include "core/check.h"
 #include "core/harmonics.h"
 #include "core/parallel.h"
 #include "core/scatter.h"
+#include "core/shade_rows.h"
 
 namespace nmbg {
 namespace {
@@ -36,64 +37,34 @@ void specialise(const Shading<T>& shading, const Body& body) {
         with_basis.template operator()<1>();
 }
 
-// Writes the vertices under a pixel; false where it is empty.
-template <int K, class T>
-bool corners(const Shading<T>& s, int64_t pixel, std::array<int32_t, K>& vertex) {
-    const int32_t i = checked("index", s.index[pixel], -1, K == 1 ? s.vertices : s.face_count);
-    if (i < 0) return false;
-    if constexpr (K == 1)
-        vertex[0] = i;
-    else
-        for (int k = 0; k < K; ++k) vertex[k] = checked("faces", s.faces[K * int64_t{i} + k], 0, s.vertices);
-    return true;
-}
-
 }  // namespace
 
 template <class T>
 void shade(const Shading<T>& s, T* out) {
     specialise(s, [&]<int K, int B>() {
         parallel_blocks(s.pixels, s.threads, [&](int64_t begin, int64_t end) {
-            std::vector<T> feature(s.channels);
-            for (int64_t pixel = begin; pixel < end; ++pixel) {
-                std::fill(feature.begin(), feature.end(), T(0));
-                std::array<int32_t, K> vertex{};
-                if (corners<K>(s, pixel, vertex)) {
-                    T Y[B];
-                    harmonics<B>(s.rays + 3 * pixel, Y);
-                    for (int k = 0; k < K; ++k) {
-                        const T* coeffs = s.coeffs + int64_t{vertex[k]} * B * s.channels;
-                        const T weight = s.weight[K * pixel + k];
-                        for (int b = 0; b < B; ++b) {
-                            const T factor = weight * Y[b];
-                            for (int c = 0; c < s.channels; ++c)
-                                feature[c] += factor * coeffs[b * s.channels + c];
-                        }
-                    }
-                }
-                for (int c = 0; c < s.channels; ++c) out[c * s.pixels + pixel] = feature[c];
-            }
+            shade_pixels<K, B>(s, begin, end, out);
         });
     });
 }
 
 template <class T>
 void shade_backward_coeffs(const Shading<T>& s, const T* grad_out, T* grad_coeffs) {
+    // The channels of a pixel next to each other, as they are needed.
+    const auto grad = std::make_unique_for_overwrite<T[]>(s.pixels * s.channels);
+    parallel_blocks(s.pixels, s.threads, [&](int64_t begin, int64_t end) {
+        for (int64_t pixel = begin; pixel < end; ++pixel)
+            for (int c = 0; c < s.channels; ++c)
+                grad[pixel * s.channels + c] = grad_out[c * s.pixels + pixel];
+    });
     specialise(s, [&]<int K, int B>() {
         const auto corners_at = [&](int64_t pixel, std::array<int32_t, K>& vertex) {
             return corners<K>(s, pixel, vertex);
         };
-        ordered_scatter<K>(s.pixels, s.vertices, s.threads, corners_at,
-                           [&](int64_t pixel, int k, int32_t vertex) {
-                               T Y[B];
-                               harmonics<B>(s.rays + 3 * pixel, Y);
-                               T* grad = grad_coeffs + int64_t{vertex} * B * s.channels;
-                               const T weight = s.weight[K * pixel + k];
-                               for (int c = 0; c < s.channels; ++c) {
-                                   const T g = weight * grad_out[c * s.pixels + pixel];
-                                   for (int b = 0; b < B; ++b) grad[b * s.channels + c] += Y[b] * g;
-                               }
-                           });
+        scatter_by_owner<K>(s.pixels, s.vertices, s.threads, corners_at,
+                            [&](std::span<const int32_t> pixels, int64_t first, int64_t end) {
+                                add_pixels<K, B>(s, grad.get(), pixels, first, end, grad_coeffs);
+                            });
     });
 }
 
