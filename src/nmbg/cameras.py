@@ -109,8 +109,11 @@ class Camera:
         x = torch.arange(self.width, dtype=torch.float64) + 0.5
         y = torch.arange(self.height, dtype=torch.float64) + 0.5
         M = torch.from_numpy(self.R.T @ np.linalg.inv(self.K))
-        d = M[:, 2] + y[:, None, None] * M[:, 1] + x[None, :, None] * M[:, 0]
-        return torch.nn.functional.normalize(d, dim=-1).to(dtype)
+        # What all pixels share is computed in float64; a sum and a division per pixel are left.
+        rows = (M[:, 2] + y[:, None] * M[:, 1]).to(dtype)
+        columns = (x[:, None] * M[:, 0]).to(dtype)
+        d = rows[:, None] + columns
+        return d.div_(torch.linalg.vector_norm(d, dim=-1, keepdim=True))
 
 
 def nearest_point_to_axes(cameras: list[Camera]) -> Array:

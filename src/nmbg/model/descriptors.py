@@ -42,8 +42,10 @@ class Descriptors(nn.Module):
             levels: how many levels, finest first.
             channels: which features to show; the mask channel comes only with all of them.
         """
-        # A gather with a sparse gradient: the optimiser touches only the vertices that this view sees.
-        rows = F.embedding(fragments.vertices.to(self.coeffs.device), self.coeffs, sparse=True)
+        rows: Tensor = self.coeffs
+        if fragments.vertices is not None:
+            # A gather with a sparse gradient: the optimiser touches only the vertices that this view sees.
+            rows = F.embedding(fragments.vertices.to(self.coeffs.device), self.coeffs, sparse=True)
         rows = rows.view(-1, self.config.bases, self.config.features)[:, :, channels]
         images = [self._shade(level, fragments.faces, rows)[None] for level in fragments.levels[:levels]]
         while len(images) < levels:

@@ -37,14 +37,14 @@ class LayerFragments:
     """One layer of one view.
 
     Args:
-        vertices: [V] int64, ascending: the layer's vertices that any level shows.
+        vertices: [V] int64, ascending: the layer's vertices that any level shows; None for all there are.
         faces: [F, 3] int32 into `vertices`: the faces that any level shows.
         levels: those of the pyramid that are rasterized, finest first.
         depth: [H, W] float32 view-space z at the finest level's pixel centres, 0 where no face is seen; None
             where it was not asked for.
     """
 
-    vertices: Tensor
+    vertices: Tensor | None
     faces: Tensor
     levels: list[LevelFragments]
     depth: Tensor | None = None
@@ -52,7 +52,7 @@ class LayerFragments:
     @property
     def nbytes(self) -> int:
         """Memory held, bytes."""
-        tensors = [self.vertices, self.faces]
+        tensors = [self.faces] if self.vertices is None else [self.vertices, self.faces]
         for level in self.levels:
             tensors += [t for t in (level.index, level.weight, level.face, level.bary) if t is not None]
         return sum(t.nbytes for t in tensors)
@@ -97,7 +97,7 @@ def rasterize_once(mesh: Mesh, camera: Camera, config: ModelConfig) -> LayerFrag
     halvings = config.supersample.bit_length() - 1
     hits = _see_faces(vertices, faces, camera, config, 1 + halvings)
     level = LevelFragments(camera, face=hits[0].face, bary=hits[0].bary)
-    return LayerFragments(torch.arange(len(vertices)), faces, [level], hits[-1].depth)
+    return LayerFragments(None, faces, [level], hits[-1].depth)
 
 
 def _see_faces(
