@@ -108,7 +108,7 @@ PRESETS: dict[str, TrainConfig] = {
     for preset in (
         TrainConfig("colours", replace(_colour_mesh, degree=0), (), start="mean"),
         TrainConfig("mesh", _colour_mesh, (_colour_stage,)),
-        TrainConfig("photos", replace(_colour_mesh, sources=8), ()),
+        TrainConfig("photos", replace(_colour_mesh, sources=6), ()),
         TrainConfig("photos-mesh", replace(_colour_mesh, supersample=2, sources=5), (_colour_stage,)),
         _rung("npbg", _npbg),
         _rung("npbg-radius", _radius),
