@@ -1,7 +1,7 @@
 # Both targets set up .venv from nothing and install into it again only when a source file has changed.
 PYTHON ?= python3
 BIN := .venv/bin
-CXX_FILES := $(shell find csrc -name '*.h' -o -name '*.cpp')
+CXX_FILES := $(shell find csrc -name '*.h' -o -name '*.inl' -o -name '*.cpp')
 SOURCES := pyproject.toml constraints.txt CMakeLists.txt README.md \
            $(shell find src cli csrc -not -path '*/__pycache__*' -not -name '*.pyc')
 

@@ -53,9 +53,11 @@ NMBG_INLINE void draw_any_discs(const PointsView<T>& view, const Level& level, c
         const V z = gather<V>(view.h, at_h + 2);
         const V u = gather<V>(view.h, at_h) / z * scale, v = gather<V>(view.h, at_h + 1) / z * scale;
         const f32x8 fu = floats(u), fv = floats(v);
-        const Box<i32x8> reach = pixels_within<f32x8>(fu - r, fv - r, fu + r, fv + r, level.width, level.height);
+        const Box<i32x8> reach =
+            pixels_within<f32x8>(fu - r, fv - r, fu + r, fv + r, level.width, level.height);
         for (int i = 0; i < n; ++i) {
-            const int x0 = std::max(reach.x0[i], tile.x0) - tile.x0, x1 = std::min(reach.x1[i], tile.x1) - tile.x0;
+            const int x0 = std::max(reach.x0[i], tile.x0) - tile.x0,
+                      x1 = std::min(reach.x1[i], tile.x1) - tile.x0;
             const int y0 = std::max(reach.y0[i], tile.y0), y1 = std::min(reach.y1[i], tile.y1);
             const V x = V{} + u[i], depth = V{} + z[i];
             for (int32_t y = y0; y < y1; ++y) {

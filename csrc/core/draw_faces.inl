@@ -6,8 +6,8 @@ namespace nmbg::NMBG_ISA {
 struct Batch {
     Triangle<f64x8> t;
     Box<i32x8> reach;
-    i32x8 small;    // whether at most 4 × 4 pixels are in reach
-    i32x8 near;     // then, a bit for each of them that is inside, or is not but by rounding
+    i32x8 small;  // whether at most 4 × 4 pixels are in reach
+    i32x8 near;   // then, a bit for each of them that is inside, or is not but by rounding
 
     NMBG_INLINE double edge(int i, int k, double x, double y) const {
         return t.a[k][i] * x + (t.b[k][i] * y + t.c[k][i]);
@@ -22,10 +22,12 @@ NMBG_INLINE i32x8 near_small(const Batch& batch) {
     const f64x8 x = number<f64x8>(reach.x0) + 0.5, y = number<f64x8>(reach.y0) + 0.5;
     f32x8 a[3], b[3], e[3];
     for (int k = 0; k < 3; ++k) {
-        a[k] = __builtin_convertvector(batch.t.a[k], f32x8), b[k] = __builtin_convertvector(batch.t.b[k], f32x8);
+        a[k] = __builtin_convertvector(batch.t.a[k], f32x8),
+        b[k] = __builtin_convertvector(batch.t.b[k], f32x8);
         e[k] = __builtin_convertvector(batch.t.edge(k, x, y), f32x8);
         // More than four roundings of what is summed below.
-        const f32x8 size = greatest_of(e[k], -e[k]) + 4 * (greatest_of(a[k], -a[k]) + greatest_of(b[k], -b[k]));
+        const f32x8 size =
+            greatest_of(e[k], -e[k]) + 4 * (greatest_of(a[k], -a[k]) + greatest_of(b[k], -b[k]));
         e[k] += 1e-6f * size;
     }
     i32x8 near{};
@@ -63,16 +65,17 @@ NMBG_INLINE Batch prepare(const FacesView<T>& view, const Level& level, const Pi
         u[k] = __builtin_convertvector(h[k].x, f32x8) * inverse;
         v[k] = __builtin_convertvector(h[k].y, f32x8) * inverse;
     }
-    const Box<i32x8> near = pixels_within<f32x8>(
-        least_of(least_of(u[0], u[1]), u[2]), least_of(least_of(v[0], v[1]), v[2]),
-        greatest_of(greatest_of(u[0], u[1]), u[2]), greatest_of(greatest_of(v[0], v[1]), v[2]), level.width,
-        level.height);
+    const Box<i32x8> near =
+        pixels_within<f32x8>(least_of(least_of(u[0], u[1]), u[2]), least_of(least_of(v[0], v[1]), v[2]),
+                             greatest_of(greatest_of(u[0], u[1]), u[2]),
+                             greatest_of(greatest_of(v[0], v[1]), v[2]), level.width, level.height);
     // What crosses the camera plane may reach the whole tile.
     const i32x8 bounded = narrow(front);
     const i32x8 left = i32x8{} + tile.x0, top = i32x8{} + tile.y0;
     const i32x8 right = i32x8{} + tile.x1, bottom = i32x8{} + tile.y1;
     Box<i32x8>& reach = batch.reach;
-    reach = {select(bounded & (near.x0 > left), near.x0, left), select(bounded & (near.y0 > top), near.y0, top),
+    reach = {select(bounded & (near.x0 > left), near.x0, left),
+             select(bounded & (near.y0 > top), near.y0, top),
              select(bounded & (near.x1 < right), near.x1, right),
              select(bounded & (near.y1 < bottom), near.y1, bottom)};
     const i32x8 drawn = narrow(batch.t.drawable());

@@ -1,5 +1,6 @@
-// Compiles the file NMBG_FILE for each instruction set, into namespaces portable, avx2 and avx512 of nmbg: one
-// binary for all x86-64. To be included once, after all other headers.
+// Compiles the file NMBG_FILE for each instruction set, into namespaces portable, avx2 and avx512 of nmbg:
+// one binary for all x86-64. To be included once, after all other headers.
+#include "core/isa.h"
 #include "core/places.h"
 #include "core/portable.h"
 
@@ -21,13 +22,14 @@
 #define NMBG_AVX2
 #define NMBG_ISA avx2
 #include "core/lanes.inl"
-#include "core/triangle.inl"
 #include "core/places.inl"
+#include "core/triangle.inl"
 #include NMBG_FILE
 #undef NMBG_ISA
 #ifdef __clang__
 #pragma clang attribute pop
-#pragma clang attribute push(__attribute__((target("avx512f,avx512vl,avx512bw,avx512dq"))), apply_to = function)
+#pragma clang attribute push(__attribute__((target("avx512f,avx512vl,avx512bw,avx512dq"))), \
+                             apply_to = function)
 #else
 #pragma GCC pop_options
 #pragma GCC push_options
@@ -36,8 +38,8 @@
 #define NMBG_AVX512
 #define NMBG_ISA avx512
 #include "core/lanes.inl"
-#include "core/triangle.inl"
 #include "core/places.inl"
+#include "core/triangle.inl"
 #include NMBG_FILE
 #undef NMBG_ISA
 #undef NMBG_AVX2
@@ -48,17 +50,16 @@
 #pragma GCC pop_options
 #endif
 
-// Returns what the call gives, compiled for the widest vectors that the processor has.
-#define NMBG_DISPATCH(...)                                                                            \
-    do {                                                                                               \
-        static const bool has_512 = __builtin_cpu_supports("avx512f") &&                               \
-                                    __builtin_cpu_supports("avx512vl") &&                              \
-                                    __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512dq"); \
-        static const bool has_2 = __builtin_cpu_supports("avx2");                                      \
-        if (has_512) return avx512::__VA_ARGS__;                                                              \
-        if (has_2) return avx2::__VA_ARGS__;                                                                  \
-        return portable::__VA_ARGS__;                                                                         \
-    } while (false)
+// Returns what the call gives, compiled for the instruction set in use.
+#define NMBG_DISPATCH(...)                \
+    switch (isa()) {                      \
+        case Isa::avx512:                 \
+            return avx512::__VA_ARGS__;   \
+        case Isa::avx2:                   \
+            return avx2::__VA_ARGS__;     \
+        default:                          \
+            return portable::__VA_ARGS__; \
+    }
 
 #else
 

@@ -1,7 +1,7 @@
-// Eight numbers at a time, and boxes of pixels. Read once per instruction set, each time into a namespace of its
-// own (each_isa.h): gcc takes such vectors apart for the set that the formula itself is compiled for, not for
-// that of the function into which it is inlined.
-// Formulas written with select(), splat() and whole() take single numbers as well.
+// Eight numbers at a time, and boxes of pixels. Read once per instruction set, each time into a namespace of
+// its own (each_isa.h): gcc takes such vectors apart for the set that the formula itself is compiled for, not
+// for that of the function into which it is inlined. Formulas written with select(), splat() and whole() take
+// single numbers as well.
 
 namespace nmbg::NMBG_ISA {
 
@@ -147,8 +147,8 @@ NMBG_INLINE auto first_pixel_from(const S& x, int32_t size) {
     return pixel + one_where(number<S>(pixel) < bounded);
 }
 
-// Pixels: wider than what float coordinates of so many pixels round by, narrower than what would slow the exact
-// tests down that follow.
+// Pixels: wider than what float coordinates of so many pixels round by, narrower than what would slow the
+// exact tests down that follow.
 NMBG_INLINE float margin_of(int32_t width, int32_t height) {
     return 1.0f / 256 + 0x1p-22f * static_cast<float>(width > height ? width : height);
 }

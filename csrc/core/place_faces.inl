@@ -8,7 +8,8 @@ NMBG_INLINE void project_any(const T* h, int64_t n, Screen* screen) {
     for (int64_t i = 0; i < n; ++i) {
         const T x = h[3 * i], y = h[3 * i + 1], z = h[3 * i + 2];
         const bool drawn = (z > 0) & (z <= most) & (std::abs(x) <= most) & (std::abs(y) <= most);
-        screen[i] = {static_cast<float>(drawn ? x / z : nowhere), static_cast<float>(drawn ? y / z : nowhere)};
+        screen[i] = {static_cast<float>(drawn ? x / z : nowhere),
+                     static_cast<float>(drawn ? y / z : nowhere)};
     }
 }
 
@@ -44,9 +45,8 @@ NMBG_INLINE i32x8 may_cover(const f32x8* u, const f32x8* v, const i32x8& x0, con
         e[k] = du * (y - v[k]) - dv * (x - u[k]) + slack;
         right[k] = -dv, below[k] = du;
     }
-    const auto inside = [](const f32x8& e0, const f32x8& e1, const f32x8& e2) NMBG_INLINE_LAMBDA {
-        return ~(least_of(least_of(e0, e1), e2) < f32x8{});
-    };
+    const auto inside = [](const f32x8& e0, const f32x8& e1, const f32x8& e2)
+                            NMBG_INLINE_LAMBDA { return ~(least_of(least_of(e0, e1), e2) < f32x8{}); };
     i32x8 any = inside(e[0], e[1], e[2]) | inside(e[0] + right[0], e[1] + right[1], e[2] + right[2]);
     for (int k = 0; k < 3; ++k) e[k] += below[k];
     any |= inside(e[0], e[1], e[2]) | inside(e[0] + right[0], e[1] + right[1], e[2] + right[2]);
@@ -59,10 +59,10 @@ inline void place(const Outlines& outlines, int n, const Level& level, Places& o
         f32x8 u[3], v[3];
         for (int k = 0; k < 3; ++k)
             u[k] = scale * load<f32x8>(outlines.u[k] + i), v[k] = scale * load<f32x8>(outlines.v[k] + i);
-        const Box<i32x8> box = pixels_within<f32x8>(
-            least_of(least_of(u[0], u[1]), u[2]), least_of(least_of(v[0], v[1]), v[2]),
-            greatest_of(greatest_of(u[0], u[1]), u[2]), greatest_of(greatest_of(v[0], v[1]), v[2]), level.width,
-            level.height);
+        const Box<i32x8> box =
+            pixels_within<f32x8>(least_of(least_of(u[0], u[1]), u[2]), least_of(least_of(v[0], v[1]), v[2]),
+                                 greatest_of(greatest_of(u[0], u[1]), u[2]),
+                                 greatest_of(greatest_of(v[0], v[1]), v[2]), level.width, level.height);
         const f32x8 sum = u[0] + u[1] + u[2];
         const i32x8 unknown = sum != sum;
         const auto missed = [&] NMBG_INLINE_LAMBDA {

@@ -26,8 +26,8 @@ void rasterize_faces_backward(const FacesView<T>& view, const int32_t* face, con
             const Triangle<double> triangle(h);
             const Vec3<double> p{pixel % level.width + 0.5, pixel / level.width + 0.5, 1};
 
-            // b_i = e_i / Σ e and depth = Σ b_i z_i, hence dL/de_i = (g_i - Σ g b) / Σ e with g_i the gradient
-            // of b_i, to which the depth adds z_i times its own.
+            // b_i = e_i / Σ e and depth = Σ b_i z_i, hence dL/de_i = (g_i - Σ g b) / Σ e with g_i the
+            // gradient of b_i, to which the depth adds z_i times its own.
             std::array<double, 3> e, g;
             double sum = 0, weighted = 0;
             for (int i = 0; i < 3; ++i) {
@@ -45,7 +45,8 @@ void rasterize_faces_backward(const FacesView<T>& view, const int32_t* face, con
             T* grad = grad_h + 3 * int64_t{vertex};
             grad[0] += static_cast<T>(level.scale * (gn * through_next.x + gl * through_last.x));
             grad[1] += static_cast<T>(level.scale * (gn * through_next.y + gl * through_last.y));
-            grad[2] += static_cast<T>(gn * through_next.z + gl * through_last.z + grad_depth[at] * e[k] / sum);
+            grad[2] +=
+                static_cast<T>(gn * through_next.z + gl * through_last.z + grad_depth[at] * e[k] / sum);
         };
         ordered_scatter<3>(int64_t{level.height} * level.width, view.vertices, view.threads, corners, add);
     }

@@ -11,12 +11,13 @@
 
 namespace nmbg {
 
-// Calls work(pixels, first, end) for ranges [first, end) of the vertices, with the pixels, in ascending order,
-// that have a corner in the range. Ranges do not overlap, so that sums into their vertices are equal to the last
-// bit for any number of threads. corners(pixel, vertex) writes the K vertices of a pixel and returns false where
-// the pixel is empty.
+// Calls work(pixels, first, end) for ranges [first, end) of the vertices, with the pixels, in ascending
+// order, that have a corner in the range. Ranges do not overlap, so that sums into their vertices are equal
+// to the last bit for any number of threads. corners(pixel, vertex) writes the K vertices of a pixel and
+// returns false where the pixel is empty.
 template <int K, class Corners, class Work>
-void scatter_by_owner(int64_t pixels, int64_t vertices, int threads, const Corners& corners, const Work& work) {
+void scatter_by_owner(int64_t pixels, int64_t vertices, int threads, const Corners& corners,
+                      const Work& work) {
     int log_block = 6;  // of the vertices owned by one thread at a time: some thousand owners at most
     while (vertices >> log_block > 1024) ++log_block;
     const int64_t blocks = ((vertices - 1) >> log_block) + 1;

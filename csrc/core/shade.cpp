@@ -42,9 +42,8 @@ void specialise(const Shading<T>& shading, const Body& body) {
 template <class T>
 void shade(const Shading<T>& s, T* out) {
     specialise(s, [&]<int K, int B>() {
-        parallel_blocks(s.pixels, s.threads, [&](int64_t begin, int64_t end) {
-            shade_pixels<K, B>(s, begin, end, out);
-        });
+        parallel_blocks(s.pixels, s.threads,
+                        [&](int64_t begin, int64_t end) { shade_pixels<K, B>(s, begin, end, out); });
     });
 }
 

@@ -29,7 +29,7 @@ void shade_pixels(const Shading<T>& s, int64_t begin, int64_t end, T* out);
 // Adds what some pixels, in their order, give to the coefficients of the vertices [first, end); grad
 // [pixels, channels].
 template <int K, int B, class T>
-void add_pixels(const Shading<T>& s, const T* grad, std::span<const int32_t> pixels, int64_t first, int64_t end,
-                T* grad_coeffs);
+void add_pixels(const Shading<T>& s, const T* grad, std::span<const int32_t> pixels, int64_t first,
+                int64_t end, T* grad_coeffs);
 
 }  // namespace nmbg

@@ -31,11 +31,12 @@ class Tiling {
   public:
     static constexpr int pixels = 512;  // of a tile
 
-    // Tiles of 32 × 16 pixels; flat or upright ones for strips, so that they too have enough tiles to share out; always
-    // whole vectors wide.
+    // Tiles of 32 × 16 pixels; flat or upright ones for strips, so that they too have enough tiles to share
+    // out; always whole vectors wide.
     Tiling(int32_t height, int32_t width) : height_(height), width_(width) {
         while (log_height_ > 0 && height <= 1 << (log_height_ - 1)) --log_height_, ++log_width_;
-        while (1 << log_width_ > portable::wide && width <= 1 << (log_width_ - 1)) --log_width_, ++log_height_;
+        while (1 << log_width_ > portable::wide && width <= 1 << (log_width_ - 1))
+            --log_width_, ++log_height_;
         columns_ = ((width - 1) >> log_width_) + 1;
         rows_ = ((height - 1) >> log_height_) + 1;
     }

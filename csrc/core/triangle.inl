@@ -1,4 +1,5 @@
-// Edges of triangles in homogeneous pixels, one or eight at a time. Read once per instruction set (each_isa.h).
+// Edges of triangles in homogeneous pixels, one or eight at a time. Read once per instruction set
+// (each_isa.h).
 
 namespace nmbg::NMBG_ISA {
 

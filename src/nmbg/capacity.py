@@ -16,9 +16,9 @@ from nmbg.sight import look
 from nmbg.training.start import mean_colours
 
 # What leaving out photographs may cost the views that judge, dB.
-COST = 0.05
+COST = 0.01
 # So many training views judge, spread over the capture.
-JUDGES = 16
+JUDGES = 32
 
 
 def choose_photographs(

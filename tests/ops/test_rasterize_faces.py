@@ -57,7 +57,9 @@ def test_a_pyramid_agrees_with_its_levels_and_with_the_twin(
 
         return parts
 
-    assert_same(flat_parts(rasterize_faces_pyramid), flat_parts(reference.rasterize_faces_pyramid), [h, faces])
+    assert_same(
+        flat_parts(rasterize_faces_pyramid), flat_parts(reference.rasterize_faces_pyramid), [h, faces]
+    )
     for k, hits in enumerate(rasterize_faces_pyramid(h, faces, height, width, levels)):
         halved = h * h.new_tensor([0.5**k, 0.5**k, 1])
         alone = rasterize_faces(halved, faces, -(-height // 2**k), -(-width // 2**k))

@@ -63,9 +63,7 @@ def _save_points(
     ctx.save_for_backward(h, index)
 
 
-def _grad_points(
-    ctx: Any, grad_dist2: Tensor, _: Tensor | None
-) -> tuple[Tensor, None, None, None, None]:
+def _grad_points(ctx: Any, grad_dist2: Tensor, _: Tensor | None) -> tuple[Tensor, None, None, None, None]:
     h, index = ctx.saved_tensors
     return _rasterize_points_backward(h, *ctx.drawing, index, grad_dist2), None, None, None, None
 
@@ -158,11 +156,11 @@ class PointHits(NamedTuple):
     """The points that the pixels of an image see.
 
     Args:
-        index: [H, W] int32, the point of the smallest z (of equal ones, the lowest index), −1 where none.
+        point: [H, W] int32, the point of the smallest z (of equal ones, the lowest index), −1 where none.
         dist2: [H, W] squared distance from the projected point to the pixel centre in px², 0 where none.
     """
 
-    index: Tensor
+    point: Tensor
     dist2: Tensor
 
 

@@ -32,8 +32,8 @@ from nmbg.sight import look
 
 # Longer side at which photographs are compared, pixels.
 SIZE = 640
-# So many views at most, spread over the capture.
-MOST_VIEWS = 72
+# So many views at most, spread over the capture; fewer where the budget is short.
+MOST_VIEWS, LEAST_VIEWS, VIEWS_A_MINUTE = 72, 12, 30
 # Photographs blended in a pixel.
 SOURCES = 5
 # Steps along the normals that are tried in a round.
@@ -67,14 +67,22 @@ SWEEPS = (Sweep(0.75, 7, 20), Sweep(0.4, 5, 10))
 Array = npt.NDArray[np.float64]
 
 
-def refine_geometry(scene: Scene, sweeps: Sequence[Sweep] = SWEEPS) -> Mesh:
+def views_for(minutes: float | None) -> int:
+    """How many views may judge within a budget of minutes: about a third of it, on two cores."""
+    return (
+        MOST_VIEWS if minutes is None else min(MOST_VIEWS, max(LEAST_VIEWS, round(VIEWS_A_MINUTE * minutes)))
+    )
+
+
+def refine_geometry(scene: Scene, sweeps: Sequence[Sweep] = SWEEPS, views: int = MOST_VIEWS) -> Mesh:
     """The scene's mesh with its vertices moved along their normals; the far shell stays where it is.
 
     Args:
         scene: only its training views are read.
         sweeps: the coarsest first.
+        views: so many at most judge.
     """
-    mesh, judge = scene.mesh, _Judge(scene)
+    mesh, judge = scene.mesh, _Judge(scene, views)
     neighbours = _Neighbours(mesh)
     with progress_bar() as bar:
         task = bar.add_task("refining geometry", total=len(sweeps) * len(STEPS))
@@ -145,8 +153,8 @@ def _best_steps(charged: Array, neighbours: _Neighbours, smoothing: int) -> Arra
 class _Judge:
     """Training photographs, each of which is predicted from the others over any surface."""
 
-    def __init__(self, scene: Scene) -> None:
-        views = evenly(scene.train, MOST_VIEWS)
+    def __init__(self, scene: Scene, most: int) -> None:
+        views = evenly(scene.train, most)
         self.cameras = [view.camera.within(SIZE) for view in views]
         self.images: list[Tensor] = []  # [3, H, W] in [0, 1]
         self.masks: list[Tensor] = []  # [H, W] bool

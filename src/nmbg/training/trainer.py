@@ -19,7 +19,7 @@ from nmbg.errors import NmbgError
 from nmbg.losses import Perceptual, l1
 from nmbg.model.renderer import Prepared, Renderer
 from nmbg.progress import console, progress_bar
-from nmbg.reconstruct.refinement import refine_geometry
+from nmbg.reconstruct.refinement import refine_geometry, views_for
 from nmbg.scene import Scene, View
 from nmbg.training import checkpoint
 from nmbg.training.budget import Budget, Clock
@@ -58,7 +58,7 @@ def train(
     perceptual = _perceptual(config, weights)
     with atomic_folder(run, overwrite) as temporary:
         if config.refine == "geometry":
-            scene = replace(scene, mesh=refine_geometry(scene))
+            scene = replace(scene, mesh=refine_geometry(scene, views=views_for(config.minutes)))
         renderer = checkpoint.build_renderer(scene, config)
         kept = choose_photographs(scene, config.photos, config.model) if config.model.sources else ()
         checkpoint.save_scene(temporary, scene, kept)
