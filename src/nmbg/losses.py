@@ -76,10 +76,11 @@ class Perceptual(nn.Module):
         layers = parse_perceptual(spec)
         self.weights = PAPER_WEIGHTS[: len(layers)]
         self.network = load_features("vgg19", layers, folder, pooling="average")
+        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def features(self, image: Tensor) -> list[Tensor]:
         """Features of images [B, 3, H, W] in [0, 1]; per layer, [B, C, h, w]."""
-        features: list[Tensor] = self.network(image)
+        features: list[Tensor] = self.network(image.contiguous(memory_format=torch.channels_last))
         return features
 
     def distance(

@@ -29,6 +29,7 @@ from nmbg.training.left_out import LeftOut, fit_left_out, learns_left_out
 from nmbg.training.log import Log
 from nmbg.training.optimiser import Optimiser
 from nmbg.training.start import ColourFit, mean_colours
+from nmbg.training.targets import PerceptualTerm
 from nmbg.training.views import Example, Views
 
 REPORTS = 20  # progress figures in a run
@@ -111,7 +112,7 @@ def _fit(
     config: TrainConfig,
     run: Path,
     renderer: Renderer,
-    perceptual: Perceptual | None,
+    perceptual: PerceptualTerm | None,
     training: Views,
     validation: Views,
     state: Progress,
@@ -163,10 +164,16 @@ def _save(run: Path, renderer: Renderer, step: int, clock: Clock, stage: int, op
     checkpoint.save_checkpoint(run, renderer, Progress(step, clock.seconds, stage, optimiser.state_dict()))
 
 
-def _perceptual(config: TrainConfig, weights: Path | None) -> Perceptual | None:
+def _perceptual(config: TrainConfig, weights: Path | None) -> PerceptualTerm | None:
     if config.perceptual == "none" or not any(stage.perceptual for stage in config.stages):
         return None
-    return Perceptual(config.perceptual, weights).to(config.device)
+    loss = Perceptual(config.perceptual, weights).to(config.device)
+    return PerceptualTerm(loss, config.cache_gib / 2 if _whole(config) else 0.0)
+
+
+def _whole(config: TrainConfig) -> bool:
+    """Whether every step sees a whole frame, the same in every epoch."""
+    return config.zoom == 1 and config.window == 1
 
 
 def _split(scene: Scene, config: TrainConfig) -> tuple[tuple[View, ...], tuple[View, ...]]:
@@ -203,9 +210,10 @@ def _views(
         assert fit is not None  # ModelConfig and the presets: photographs stand on a fitted mesh
         see = LeftOut(renderer, fit).see
     training, aside = _split(scene, config)
-    whole = config.zoom == 1 and (config.window == 1 or learns_left_out(config))
-    cache = config.cache_gib if whole else 0.0
-    return Views(scene, training, see, cache), Views(scene, aside, see, config.cache_gib)
+    frames = _whole(config) or (config.zoom == 1 and learns_left_out(config))
+    # Half of the memory is for what the loss keeps, where it keeps something.
+    cache = config.cache_gib / (2 if _whole(config) and config.perceptual != "none" else 1)
+    return Views(scene, training, see, cache if frames else 0.0), Views(scene, aside, see, cache)
 
 
 def _draw(views: Views, config: TrainConfig, step: int) -> Example:
@@ -213,7 +221,7 @@ def _draw(views: Views, config: TrainConfig, step: int) -> Example:
     epoch, position = divmod(step, len(views))
     generator = torch.Generator().manual_seed(config.seed * 1_000_003 + epoch)
     i = int(torch.randperm(len(views), generator=generator)[position])
-    if config.zoom == 1 and config.window == 1:
+    if _whole(config):
         return views.frame(i)
     generator.manual_seed(config.seed * 1_000_003 + step)
     if config.zoom == 1 and learns_left_out(config):
@@ -231,7 +239,7 @@ def _render(renderer: Renderer, stage: Stage, example: Example) -> Tensor:
 
 
 def _loss(
-    renderer: Renderer, stage: Stage, perceptual: Perceptual | None, example: Example
+    renderer: Renderer, stage: Stage, perceptual: PerceptualTerm | None, example: Example
 ) -> dict[str, Tensor]:
     """The stage's loss and its terms."""
     image = _render(renderer, stage, example)[None]
@@ -244,9 +252,8 @@ def _loss(
     terms = {"l1": l1(image, target, mask)}
     terms["loss"] = stage.l1 * terms["l1"]
     if stage.perceptual and perceptual is not None:
-        with torch.no_grad():
-            wanted = perceptual.features(target)
-        terms["perceptual"] = perceptual.distance(perceptual.features(image), wanted, mask)
+        wanted = perceptual.of_target(example.name, target)
+        terms["perceptual"] = perceptual.loss.distance(perceptual.loss.features(image), wanted, mask)
         terms["loss"] = terms["loss"] + stage.perceptual * terms["perceptual"]
     return terms
 
