@@ -147,6 +147,17 @@ NMBG_INLINE void prefetch(const FacesView<T>& view, std::span<const int32_t> fac
 template <class T>
 NMBG_INLINE void draw_any(const FacesView<T>& view, const Level& level, const PixelBox& box,
                           std::span<const int32_t> faces, const FacesResult<T>& out) {
+    if (faces.empty()) {
+        for (int32_t row = box.y0; row < box.y1; ++row) {
+            const int64_t pixel = level.first_pixel + int64_t{row} * level.width + box.x0;
+            const int n = box.x1 - box.x0;
+            std::fill_n(out.face + pixel, n, -1);
+            std::fill_n(out.depth + pixel, n, T(0));
+            std::fill_n(out.bary + 3 * pixel, 3 * n, T(0));
+        }
+        return;
+    }
+
     FaceTile tile;
     tile.depth.fill(std::numeric_limits<double>::infinity());
     tile.e0.fill(0), tile.e1.fill(0), tile.e2.fill(0), tile.face.fill(-1);
