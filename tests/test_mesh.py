@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nmbg.errors import NmbgError
-from nmbg.mesh import Mesh, load_mesh, merge, save_mesh, split_layers
+from nmbg.mesh import Mesh, in_morton_order, load_mesh, merge, save_mesh, split_layers
 
 
 def random_mesh(seed: int, n: int, m: int) -> Mesh:
@@ -52,6 +52,29 @@ def test_split_sends_lonely_vertices_by_their_position_and_duplicates_the_bounda
     assert far.vertices[:, 0].tolist() == [0.5, 0, 5, 9]
     assert near.faces.tolist() == [[0, 1, 2]]
     assert far.faces.tolist() == [[0, 1, 2]]
+
+
+@given(seed=st.integers(0, 10**6), n=st.integers(1, 40), m=st.integers(0, 80))
+def test_morton_order_keeps_vertices_and_faces(seed: int, n: int, m: int) -> None:
+    mesh = random_mesh(seed, n, m)
+    ordered = in_morton_order(mesh)
+    assert corners(ordered) == corners(mesh)
+    assert sorted(ordered.vertices.tolist()) == sorted(mesh.vertices.tolist())
+    first = ordered.faces.min(1) if m else np.zeros(1)
+    assert (np.diff(first) >= 0).all()
+
+
+def test_morton_order_visits_the_halves_of_a_cube_one_after_another() -> None:
+    g = np.random.default_rng(0)
+    grid = np.stack(np.meshgrid(*[np.arange(8.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    mesh = Mesh(
+        g.permutation(grid).astype(np.float32), np.zeros((0, 3), np.int32), np.zeros((512, 3), np.uint8)
+    )
+    ordered = in_morton_order(mesh).vertices
+    for eighth in ordered.reshape(8, 64, 3):
+        assert np.ptp(eighth, axis=0).tolist() == [3, 3, 3]
+    flat = in_morton_order(Mesh(ordered[:1], mesh.faces, mesh.colours[:1]))
+    assert np.array_equal(flat.vertices, ordered[:1])
 
 
 def test_merge_appends() -> None:

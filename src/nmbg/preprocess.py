@@ -20,7 +20,7 @@ from nmbg.images import Mask
 from nmbg.importers import Capture, Photo, read_capture
 from nmbg.importers.splits import every_nth, read_split
 from nmbg.importers.store import find_masks, store_photograph
-from nmbg.mesh import Mesh, empty_mesh, load_mesh, merge
+from nmbg.mesh import Mesh, empty_mesh, in_morton_order, load_mesh, merge
 from nmbg.progress import progress_bar
 from nmbg.reconstruct.background import Background, best_background, make_background
 from nmbg.reconstruct.colours import mean_vertex_colours, spread
@@ -158,6 +158,7 @@ def _assemble(
     folder: Path, mesh: Mesh, coloured: bool, views: tuple[View, ...], options: PreprocessOptions, source: str
 ) -> Scene:
     """Decide sphere, background and layers; add patches and shell; colour everything."""
+    mesh = in_morton_order(mesh)
     cameras = [view.camera for view in views if view.split == "train"]
     sphere = foreground_sphere(cameras)
     bare = Scene(folder, mesh, 0, 0, views, sphere.centre, sphere.radius, up_axis(cameras), 1, {}, source)

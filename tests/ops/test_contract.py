@@ -15,6 +15,7 @@ from nmbg.ops import (
     rasterize_faces,
     rasterize_faces_pyramid,
     rasterize_points,
+    rasterize_points_pyramid,
     reference,
     shade_faces,
     shade_points,
@@ -290,7 +291,15 @@ def test_backward_checks_indices_too(random_scene):
 def test_the_twins_have_the_same_signatures():
     import inspect
 
-    for op in (rasterize_points, rasterize_faces, shade_points, shade_faces, blend_photos):
+    for op in (
+        rasterize_points,
+        rasterize_points_pyramid,
+        rasterize_faces,
+        rasterize_faces_pyramid,
+        shade_points,
+        shade_faces,
+        blend_photos,
+    ):
         twin = getattr(reference, op.__name__)
         assert inspect.signature(op) == inspect.signature(twin)
 

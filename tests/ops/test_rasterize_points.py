@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from nmbg.ops import rasterize_points, reference
+from nmbg.ops import rasterize_points, rasterize_points_pyramid, reference
 
 DTYPES = (torch.float32, torch.float64)
 BOTH = pytest.mark.parametrize("op", [rasterize_points, reference.rasterize_points])
@@ -27,13 +27,35 @@ def test_agrees_with_the_twin(assert_same, random_scene, dtype, radius):
         assert_same(rasterize_points, reference.rasterize_points, [h, radius, 37, 53])
 
 
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("count", [1, 9, 513, 5000])
+@pytest.mark.parametrize(("height", "width", "levels"), [(37, 53, 4), (16, 32, 5), (5, 2, 9)])
+def test_a_pyramid_agrees_with_its_levels_and_with_the_twin(
+    assert_same, random_scene, dtype, count, height, width, levels
+):
+    h, _ = random_scene(levels, height, width, vertices=count, dtype=dtype)
+
+    def flat_parts(op):
+        def parts(h: Tensor) -> tuple[Tensor, ...]:
+            return tuple(part for hits in op(h, 1.4, height, width, levels) for part in hits)
+
+        return parts
+
+    assert_same(flat_parts(rasterize_points_pyramid), flat_parts(reference.rasterize_points_pyramid), [h])
+    for k, hits in enumerate(rasterize_points_pyramid(h, 1.4, height, width, levels)):
+        halved = h * h.new_tensor([0.5**k, 0.5**k, 1])
+        alone = rasterize_points(halved, 1.4, -(-height // 2**k), -(-width // 2**k))
+        for part, whole in zip(hits, alone, strict=True):
+            assert torch.equal(part, whole)
+
+
 def test_gradient_is_the_derivative(random_scene):
     h, _ = random_scene(1, 6, 7, vertices=12)
 
-    def dist2(h: Tensor) -> Tensor:
-        return rasterize_points(h, 1.5, 6, 7)[1]
+    def dist2(h: Tensor) -> tuple[Tensor, ...]:
+        return tuple(hits.dist2 for hits in rasterize_points_pyramid(h, 1.5, 6, 7, 2))
 
-    assert (dist2(h) > 0).sum() > 5
+    assert (dist2(h)[0] > 0).sum() > 5
     assert torch.autograd.gradcheck(dist2, h.requires_grad_(), eps=1e-7, atol=1e-4)
 
 

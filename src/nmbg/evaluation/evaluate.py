@@ -25,7 +25,7 @@ from nmbg.images import Image, write_image
 from nmbg.progress import progress_bar
 from nmbg.scene import Scene, Split, View
 from nmbg.training.checkpoint import Run, load_run
-from nmbg.training.left_out import LeftOut, fit_left_out, learns_left_out
+from nmbg.training.left_out import LeftOut, can_leave_out, fit_left_out
 
 SHEET_ROWS = 16
 PROTOCOL = "full frames, estimate rounded to 8 bits, mean of the values per view"
@@ -138,7 +138,7 @@ def evaluate(
 def _shows(run: Run, scene: Scene, split: Split) -> Callable[[View], Tensor]:
     """How views are rendered: without their own photograph; under a network, no colour was fitted to it."""
     renderer = run.renderer
-    if split == "test" or not learns_left_out(run.config):
+    if split == "test" or not can_leave_out(run.config):
         return lambda view: renderer.render(view.camera, without={view.name})
     left_out = LeftOut(renderer, fit_left_out(renderer, scene))
 

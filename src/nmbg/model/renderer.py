@@ -108,7 +108,7 @@ class Renderer(nn.Module):
     def forward(self, sight: Prepared, camera: Camera) -> Tensor:
         """Render what `see(camera)` gave, [3, H, W], about [0, 1] but not clamped."""
         if isinstance(sight, Gathered):
-            sight = self._fuse(sight)
+            sight = self._fuse(sight) if self.network is not None else sight.blended()
         if isinstance(sight, Tensor):
             return sight[:, : camera.height, : camera.width]
         if self.network is None:

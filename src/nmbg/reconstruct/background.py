@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nmbg.mesh import Mesh, empty_mesh, merge
+from nmbg.mesh import Mesh, empty_mesh, in_morton_order, merge
 from nmbg.reconstruct.colours import mean_vertex_colours, spread
 from nmbg.reconstruct.completion import close_holes
 from nmbg.reconstruct.gallery import Gallery
@@ -57,7 +57,7 @@ def paint(background: Mesh, gallery: Gallery) -> Mesh:
         for i, camera in enumerate(gallery.cameras)
     )
     colours = spread(*mean_vertex_colours(background, open_pixels), background.faces)
-    return replace(background, colours=colours.round().clip(0, 255).astype(np.uint8))
+    return in_morton_order(replace(background, colours=colours.round().clip(0, 255).astype(np.uint8)))
 
 
 def best_background(gallery: Gallery) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""What a network learns from: training views as the other photographs show them."""
+"""Training views as the other photographs show them: what a network learns from, and is judged on."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from nmbg.training.start import ColourFit
 FOLDS = 4
 
 
-def learns_left_out(config: TrainConfig) -> bool:
-    """Whether a network learns from what the other photographs show of a view."""
-    return config.model.sources > 0 and any(stage.network for stage in config.stages)
+def can_leave_out(config: TrainConfig) -> bool:
+    """Whether what a model shows of a view can be had without its photograph: no step moves its colours."""
+    moved = any(stage.descriptor_rate > 0 for stage in config.stages)
+    return config.model.sources > 0 and config.start == "fit" and not moved
 
 
 def fit_left_out(renderer: Renderer, scene: Scene) -> ColourFit:

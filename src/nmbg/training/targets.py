@@ -12,7 +12,7 @@ from nmbg.training.views import GIB
 class PerceptualTerm:
     """The loss with the features of its targets, which are computed once and kept up to a limit.
 
-    They are kept in half precision, and used so from the first time on: numbers do not depend on what was kept.
+    They are kept in half precision, and used so from the first time on: no number depends on what is kept.
 
     Args:
         loss: compares features.

@@ -25,7 +25,7 @@ from nmbg.training import checkpoint
 from nmbg.training.budget import Budget, Clock
 from nmbg.training.checkpoint import Progress
 from nmbg.training.config import Stage, TrainConfig
-from nmbg.training.left_out import LeftOut, fit_left_out, learns_left_out
+from nmbg.training.left_out import LeftOut, can_leave_out, fit_left_out
 from nmbg.training.log import Log
 from nmbg.training.optimiser import Optimiser
 from nmbg.training.start import ColourFit, mean_colours
@@ -102,7 +102,7 @@ def resume(run: Path, weights: Path | None = None) -> Path:
     renderer = checkpoint.build_renderer(scene, config)
     checkpoint.load_model(found, renderer)
     checkpoint.remember_photographs(run, renderer)
-    fit = _fit_colours(scene, config, renderer) if learns_left_out(config) else None
+    fit = _fit_colours(scene, config, renderer) if can_leave_out(config) else None
     training, validation = _views(scene, config, renderer, fit)
     _fit(config, run, renderer, perceptual, training, validation, state, clock)
     return run
@@ -192,7 +192,7 @@ def _fit_colours(scene: Scene, config: TrainConfig, renderer: Renderer) -> Colou
     """The closed-form start. What leaves each view out anyway may use those kept aside too."""
     if config.start != "fit":
         return None
-    if learns_left_out(config):
+    if can_leave_out(config):
         return fit_left_out(renderer, scene)
     return ColourFit(renderer.layers, scene, _split(scene, config)[0], config.model.bases)
 
@@ -206,11 +206,11 @@ def _views(
         return renderer.rasterize(camera)
 
     see: Callable[[Camera, View], Prepared] = rasterized
-    if learns_left_out(config):
+    if can_leave_out(config):
         assert fit is not None  # ModelConfig and the presets: photographs stand on a fitted mesh
         see = LeftOut(renderer, fit).see
     training, aside = _split(scene, config)
-    frames = _whole(config) or (config.zoom == 1 and learns_left_out(config))
+    frames = _whole(config) or (config.zoom == 1 and can_leave_out(config))
     # Half of the memory is for what the loss keeps, where it keeps something.
     cache = config.cache_gib / (2 if _whole(config) and config.perceptual != "none" else 1)
     return Views(scene, training, see, cache if frames else 0.0), Views(scene, aside, see, cache)
@@ -224,7 +224,7 @@ def _draw(views: Views, config: TrainConfig, step: int) -> Example:
     if _whole(config):
         return views.frame(i)
     generator.manual_seed(config.seed * 1_000_003 + step)
-    if config.zoom == 1 and learns_left_out(config):
+    if config.zoom == 1 and can_leave_out(config):
         return views.crop(i, config.window, 2 ** (config.model.levels - 1), generator)
     return views.window(i, config.window, config.zoom, generator)
 
