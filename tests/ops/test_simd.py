@@ -10,12 +10,13 @@ import pytest
 
 from nmbg import _core
 
-# Digest of what the rasterizers and the shading give for random input, of all sizes that have a path of their own.
+# Digest of what rasterizers and shading give for random input, of all sizes that have a path of their own.
 DIGEST = """
 import hashlib
 import torch
 from nmbg import _core
-from nmbg.ops import rasterize_faces_pyramid, rasterize_points_pyramid, scatter_faces, shade_faces, shade_points
+from nmbg.ops import rasterize_faces_pyramid, rasterize_points_pyramid
+from nmbg.ops import scatter_faces, shade_faces, shade_points
 
 g = torch.Generator().manual_seed(0)
 found = []

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -44,31 +47,42 @@ class Descriptors(nn.Module):
         """
         rows: Tensor = self.coeffs
         if fragments.vertices is not None:
-            # A gather with a sparse gradient: the optimiser touches only the vertices that this view sees.
-            rows = F.embedding(fragments.vertices.to(self.coeffs.device), self.coeffs, sparse=True)
+            rows = _Rows.apply(rows, fragments.vertices.to(rows.device))  # type: ignore[no-untyped-call]
         rows = rows.view(-1, self.config.bases, self.config.features)[:, :, channels]
-        images = [self._shade(level, fragments.faces, rows)[None] for level in fragments.levels[:levels]]
+        images = [image[None] for image in self._shade(fragments.levels[:levels], fragments.faces, rows)]
         while len(images) < levels:
             images.append(F.avg_pool2d(images[-1], 2))
         return images
 
-    def _shade(self, level: LevelFragments, faces: Tensor, rows: Tensor) -> Tensor:
-        images = []
+    def _shade(self, levels: Sequence[LevelFragments], faces: Tensor, rows: Tensor) -> list[Tensor]:
+        """Feature images of some levels, all shaded at once: their gradient is one sum."""
         device, whole = rows.device, rows.shape[2] == self.config.features
-        if level.index is not None and level.weight is not None and whole:
-            rays = self._rays(level.camera).to(device)
-            images.append(shade_points(level.index.to(device), level.weight.to(device), rays, rows))
-        if level.face is not None and level.bary is not None:
+        images: list[list[Tensor]] = [[] for _ in levels]
+        face = [level.face for level in levels if level.face is not None]
+        bary = [level.bary for level in levels if level.bary is not None]
+        if face:
             s = self.config.supersample
-            height, width = level.face.shape
-            rays = self._rays(level.camera.resized(width, height)).to(device)
-            face = level.face.to(device)
-            image = shade_faces(face, level.bary.to(device), faces.to(device), rays, rows)
+            rays = [
+                self._rays(level.camera.resized(*f.shape[::-1]))
+                for level, f in zip(levels, face, strict=True)
+            ]
+            parts = (_row(face).to(device), _row(bary).to(device), faces.to(device), _row(rays).to(device))
             # Faces come first: the colour skip reads the first three channels.
-            images.insert(0, F.avg_pool2d(image, s) if s > 1 else image)
+            for image, shown in zip(images, _images(shade_faces(*parts, rows), face), strict=True):
+                image.append(F.avg_pool2d(shown, s) if s > 1 else shown)
+        index = [level.index for level in levels if level.index is not None]
+        weight = [level.weight for level in levels if level.weight is not None]
+        if index and whole:
+            rays = [self._rays(level.camera) for level in levels]
+            points = shade_points(
+                _row(index).to(device), _row(weight).to(device), _row(rays).to(device), rows
+            )
+            for image, shown in zip(images, _images(points, index), strict=True):
+                image.append(shown)
         if self.config.mask_channel and whole:
-            images.append(self._mask(level, device))
-        return torch.cat(images) if len(images) > 1 else images[0]
+            for image, level in zip(images, levels, strict=True):
+                image.append(self._mask(level, device))
+        return [torch.cat(image) if len(image) > 1 else image[0] for image in images]
 
     def _rays(self, camera: Camera) -> Tensor:
         """Directions for the harmonics, [H, W, 3]; zeros for the only one of degree 0, which needs none."""
@@ -80,3 +94,34 @@ class Descriptors(nn.Module):
         mask = (index >= 0).float()[None].to(device)
         s = index.shape[0] // level.camera.height
         return F.avg_pool2d(mask, s) if s > 1 else mask
+
+
+class _Rows(torch.autograd.Function):
+    """Rows of a table, each asked for once; the gradient is sparse: the optimiser touches only these rows."""
+
+    @staticmethod
+    def forward(ctx: Any, table: Tensor, index: Tensor) -> Tensor:
+        ctx.save_for_backward(index)
+        ctx.size = table.shape
+        return table.index_select(0, index)
+
+    @staticmethod
+    def backward(ctx: Any, grad: Tensor) -> tuple[Tensor, None]:
+        (index,) = ctx.saved_tensors
+        sparse = torch.sparse_coo_tensor(
+            index[None], grad, ctx.size, is_coalesced=True, check_invariants=False
+        )
+        return sparse, None
+
+
+def _row(images: list[Tensor]) -> Tensor:
+    """Images [H, W, …] of any sizes as one of a single row, [1, pixels, …]."""
+    if len(images) == 1:
+        return images[0].flatten(0, 1)[None]
+    return torch.cat([image.flatten(0, 1) for image in images])[None]
+
+
+def _images(row: Tensor, like: list[Tensor]) -> list[Tensor]:
+    """Channels of a single row, [C, 1, pixels], as images [C, H, W] of the sizes that it was joined from."""
+    parts = torch.split(row[:, 0], [image.numel() for image in like], dim=1)
+    return [part.view(len(part), *image.shape) for part, image in zip(parts, like, strict=True)]

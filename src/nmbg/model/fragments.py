@@ -58,13 +58,14 @@ class LayerFragments:
         return sum(t.nbytes for t in tensors)
 
 
-def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig) -> LayerFragments:
-    """Rasterize one layer for the pyramid of a camera; what no level shows is dropped.
+def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig, once: bool = False) -> LayerFragments:
+    """Rasterize one layer for the pyramid of a camera.
 
     Args:
         mesh: the layer's geometry.
         camera: the view; 2^(levels − 1) divides its size.
         config: what to rasterize, and how.
+        once: for fragments that are shaded once; those that are kept are rid of what no level shows.
     """
     faces = torch.from_numpy(mesh.faces)
     vertices = torch.from_numpy(mesh.vertices)
@@ -80,11 +81,11 @@ def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig) -> LayerFra
     if config.faces:
         for k, (face, bary, _) in enumerate(_see_faces(vertices, faces, camera, config, len(views))):
             levels[k] = replace(levels[k], face=face, bary=bary)
-    return _compact(levels, faces, len(vertices))
+    return LayerFragments(None, faces, levels) if once else _compact(levels, faces, len(vertices))
 
 
-def rasterize_once(mesh: Mesh, camera: Camera, config: ModelConfig) -> LayerFragments:
-    """The finest faces of a camera, with depth: for fragments that are shaded once, nothing is dropped.
+def rasterize_finest(mesh: Mesh, camera: Camera, config: ModelConfig) -> LayerFragments:
+    """The finest faces of a camera, with depth, for fragments that are shaded once.
 
     Args:
         mesh: the layer's geometry.

@@ -13,7 +13,7 @@ from nmbg.cameras import Camera
 from nmbg.mesh import Mesh
 from nmbg.model.config import ModelConfig
 from nmbg.model.descriptors import SH_CONSTANT, Descriptors
-from nmbg.model.fragments import LayerFragments, rasterize_layer, rasterize_once
+from nmbg.model.fragments import LayerFragments, rasterize_finest, rasterize_layer
 from nmbg.model.photographs import NOTHING, Gathered, Photographs, count_features
 from nmbg.model.unet import UNet
 from nmbg.scene import Scene, View
@@ -77,7 +77,7 @@ class Renderer(nn.Module):
             without: names of the photographs that must not be blended in.
         """
         if self.photographs is None:
-            return self.rasterize(camera)
+            return self.rasterize(camera, once=True)
         padded = self.padded(camera)
         blend = self.photographs.over if self.network is None else self.photographs.gather
         return blend(padded, *self.on_mesh(padded), without)
@@ -90,13 +90,13 @@ class Renderer(nn.Module):
     def on_mesh(self, camera: Camera) -> tuple[Tensor, Tensor]:
         """Colour [3, H, W] and depth [H, W] of the one layer that photographs are blended over."""
         (mesh,) = self.layers
-        fragments = rasterize_once(mesh, camera, self.config)
+        fragments = rasterize_finest(mesh, camera, self.config)
         assert fragments.depth is not None
         return self.colour([fragments], camera).cpu(), fragments.depth
 
-    def rasterize(self, camera: Camera) -> list[LayerFragments]:
-        """What `camera` sees of each layer, padded."""
-        return [rasterize_layer(mesh, self.padded(camera), self.config) for mesh in self.layers]
+    def rasterize(self, camera: Camera, once: bool = False) -> list[LayerFragments]:
+        """What `camera` sees of each layer, padded; `once` where it is not kept."""
+        return [rasterize_layer(mesh, self.padded(camera), self.config, once) for mesh in self.layers]
 
     def colour(self, fragments: list[LayerFragments], camera: Camera) -> Tensor:
         """The colour on the mesh without the network, [3, H, W]; the foreground hides the background."""
