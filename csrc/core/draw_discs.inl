@@ -21,7 +21,7 @@ NMBG_INLINE void place_discs(const Points<T>& points, int n, double radius, cons
         const f32x8 z = floats(load<eight<T>>(points.z + i));
         Box<i32x8> box = pixels_within<f32x8>(u - r, v - r, u + r, v + r, level.width, level.height);
         box.x1 = select(z > 0, box.x1, box.x0);
-        store_places(box, i32x8{}, [] NMBG_INLINE_LAMBDA { return i32x8{}; }, level.tiling, i, out);
+        store_places(box, i32x8{}, []() NMBG_INLINE_LAMBDA { return i32x8{}; }, level.tiling, i, out);
     }
 }
 

@@ -188,7 +188,7 @@ NMBG_INLINE S share_of(T index, bool last, S level) {
     using std::abs;
     const S distance = abs(level - S(index));
     const S share = within_unit(S(1) - distance);
-    return last & (level > S(index)) ? S(1) : share;
+    return (last & (level > S(index))) ? S(1) : share;
 }
 
 // Weights of the four texels of the finest level in its colour. Only those of the visible surface count: what

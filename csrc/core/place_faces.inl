@@ -65,7 +65,7 @@ inline void place(const Outlines& outlines, int n, const Level& level, Places& o
                                  greatest_of(greatest_of(v[0], v[1]), v[2]), level.width, level.height);
         const f32x8 sum = u[0] + u[1] + u[2];
         const i32x8 unknown = sum != sum;
-        const auto missed = [&] NMBG_INLINE_LAMBDA {
+        const auto missed = [&]() NMBG_INLINE_LAMBDA {
             const i32x8 small = (box.x1 - box.x0 <= 2) & (box.y1 - box.y0 <= 2);
             return small & ~may_cover(u, v, box.x0, box.y0, margin_of(level.width, level.height));
         };
