@@ -47,10 +47,13 @@ def _untrained(preset: str, refine: bool = False) -> TrainConfig:
     return replace(PRESETS[preset], **budget, refine="geometry" if refine else "none")  # type: ignore[arg-type]
 
 
+_photos = _untrained("photos")
+_over_means = replace(_photos, start="mean", model=replace(_photos.model, degree=0, sources=5))
+
 PARTS = (
     Part("fitted colours", _untrained("mesh")),
-    Part("photographs over mean colours", _untrained("photos"), exposure=False),
-    Part("… and exposure", _untrained("photos")),
+    Part("photographs over mean colours", _over_means, exposure=False),
+    Part("… and exposure", _over_means),
     Part("… over fitted colours, 2 × 2 samples", _untrained("nmbg")),
     Part("… and refined geometry", _untrained("nmbg", refine=True)),
 )

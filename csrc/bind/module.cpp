@@ -2,6 +2,7 @@
 #include <pybind11/pybind11.h>
 
 namespace nmbg {
+void bind_adam_rows(pybind11::module_& m);
 void bind_blend_photos(pybind11::module_& m);
 void bind_build(pybind11::module_& m);
 void bind_rasterize_faces(pybind11::module_& m);
@@ -16,4 +17,5 @@ PYBIND11_MODULE(_core, m) {
     nmbg::bind_rasterize_faces(m);
     nmbg::bind_shade(m);
     nmbg::bind_blend_photos(m);
+    nmbg::bind_adam_rows(m);
 }

@@ -60,6 +60,18 @@ def shade_backward_pixels(
     coeffs: _Float,
     threads: int,
 ) -> tuple[_Float, _Float]: ...
+def adam_rows(
+    table: _Float,
+    mean: _Float,
+    square: _Float,
+    index: npt.NDArray[np.int64],
+    grad: _Float,
+    rate: float,
+    beta1: float,
+    beta2: float,
+    eps: float,
+    threads: int,
+) -> None: ...
 
 class Blending:
     def __init__(

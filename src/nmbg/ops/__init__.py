@@ -1,5 +1,6 @@
 """Torch ops over the C++ kernels; reference.py holds their plain-torch twins, which are the specification."""
 
+from nmbg.ops.adam import adam_rows
 from nmbg.ops.blend import Blend, blend_photos, mip_chain
 from nmbg.ops.rasterize import (
     FaceHits,
@@ -15,6 +16,7 @@ __all__ = [
     "Blend",
     "FaceHits",
     "PointHits",
+    "adam_rows",
     "blend_photos",
     "mip_chain",
     "rasterize_faces",

@@ -15,6 +15,7 @@ from nmbg.ops.blend import Blend
 from nmbg.ops.rasterize import FaceHits, PointHits
 
 __all__ = [
+    "adam_rows",
     "blend_photos",
     "harmonics",
     "rasterize_faces",
@@ -296,3 +297,19 @@ def blend_photos(
         weights.detach(),
         shown[: keep if each else 0].detach(),
     )
+
+
+def adam_rows(
+    table: Tensor,
+    mean: Tensor,
+    square: Tensor,
+    index: Tensor,
+    grad: Tensor,
+    rate: float,
+    betas: tuple[float, float],
+    eps: float,
+) -> None:
+    """See nmbg.ops.adam_rows()."""
+    mean[index] = betas[0] * mean[index] + (1 - betas[0]) * grad
+    square[index] = betas[1] * square[index] + (1 - betas[1]) * grad**2
+    table[index] -= rate * mean[index] / (square[index].sqrt() + eps)
