@@ -38,7 +38,7 @@ VIEWS = 4
 PARTS = {
     "nmbg::shade": "shading",
     "nmbg::shade_backward_coeffs": "shading, backward",
-    "Optimizer.step#SparseAdam.step": "descriptors' Adam",
+    "Optimizer.step#RowAdam.step": "descriptors' Adam",
     "Optimizer.step#Adam.step": "network's Adam",
     "aten::convolution": "convolutions",
     "aten::convolution_backward": "convolutions, backward",

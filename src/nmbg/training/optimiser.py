@@ -102,7 +102,7 @@ class Optimiser:
             optimiser.zero_grad(set_to_none=True)
             for group in optimiser.param_groups:
                 group["lr"] = rate * factor
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         for optimiser, _ in self.parts:
             optimiser.step()
 
