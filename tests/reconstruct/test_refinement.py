@@ -15,7 +15,7 @@ from nmbg.cameras import Camera
 from nmbg.images import write_image
 from nmbg.mesh import Mesh, merge
 from nmbg.reconstruct.depths import unproject
-from nmbg.reconstruct.refinement import SWEEPS, refine_geometry
+from nmbg.reconstruct.refinement import LEAST_VIEWS, MOST_VIEWS, SWEEPS, refine_geometry, views_for
 from nmbg.scene import Scene, View
 from nmbg.sight import look
 
@@ -132,3 +132,9 @@ def test_refinement_does_not_depend_on_threads(scene_of: Callable[..., Scene]) -
     finally:
         torch.set_num_threads(threads)
     assert np.array_equal(*refined)
+
+
+def test_short_budgets_have_fewer_views_judge() -> None:
+    assert views_for(None) == views_for(15) == MOST_VIEWS
+    assert views_for(0.01) == LEAST_VIEWS
+    assert LEAST_VIEWS < views_for(1) < views_for(2) < MOST_VIEWS

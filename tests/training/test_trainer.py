@@ -259,12 +259,13 @@ def test_a_refined_run_keeps_its_geometry(scene_folder: Path, tmp_path: Path) ->
     assert np.array_equal(checkpoint.load_run(run).renderer.layers[0].vertices, kept.vertices)
 
 
+@pytest.mark.parametrize("preset", ["photos", "nmbg"])
 def test_training_views_are_evaluated_without_their_photograph(
-    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str
 ) -> None:
     """Painting one training photograph black in the scene and the run changes its target, not its render."""
     scene, load_image = Scene.load(scene_folder), Scene.load_image
-    config = replace(SMALL["nmbg"], iterations=0, refine="none")
+    config = replace(SMALL[preset], iterations=0, refine="none")
     run = train(scene, config, tmp_path / "run")
     black = scene.train[2]
 
