@@ -9,10 +9,7 @@ from __future__ import annotations
 
 import json
 import os
-import statistics
 import sys
-import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,6 +19,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 import click
 import numpy as np
 import torch
+from timing import timed
 
 from nmbg import __version__
 from nmbg.atomic import atomic_file
@@ -69,29 +67,17 @@ def main(run: Path, output: Path) -> None:
                 depth, warps[:n], intrinsics[:n], float(camera.K[0, 0]), chains[:n], depths[:n],
             )  # fmt: skip
             row = {"width": camera.width, "height": camera.height, "candidates": n}
-            results["kernel"].append({**row, **_time(partial(blend_photos, *arguments), REPEATS)})
+            results["kernel"].append({**row, **timed(partial(blend_photos, *arguments), REPEATS)})
             if size == SIZES[0] and n == 14:
-                results["twin"].append({**row, **_time(partial(reference.blend_photos, *arguments), 3)})
+                results["twin"].append({**row, **timed(partial(reference.blend_photos, *arguments), 3)})
                 close = (blend_photos(*arguments).colour - reference.blend_photos(*arguments).colour).abs()
                 assert (close < 1e-3).float().mean() > 0.99, "kernel and twin disagree"
         if size < SIZES[-1]:
             frame = {"width": camera.width, "height": camera.height, "preset": loaded.config.preset}
-            results["frames"].append({**frame, **_time(partial(loaded.renderer.render, camera), REPEATS)})
+            results["frames"].append({**frame, **timed(partial(loaded.renderer.render, camera), REPEATS)})
     with atomic_file(output) as path:
         path.write_text(json.dumps(results, indent=1) + "\n")
     click.echo(_table(results))
-
-
-def _time(call: Callable[[], object], repeats: int) -> dict[str, float]:
-    """Median and quartiles in milliseconds, after one call to warm up."""
-    call()
-    seconds = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        seconds.append(time.perf_counter() - start)
-    low, middle, high = statistics.quantiles(seconds, n=4)
-    return {"ms": 1000 * middle, "low": 1000 * low, "high": 1000 * high}
 
 
 def _table(results: dict[str, Any]) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 import click
 import torch
 from record import command, provenance, write
-from timing import alternate, show
+from timing import show, timed
 from torch.profiler import ProfilerActivity, profile
 
 from nmbg.scene import Scene
@@ -58,7 +58,7 @@ def main(scene: Path, output: Path, repeats: int) -> None:
                 scale = longer / max(held_out.width, held_out.height)
                 camera = held_out.resized(round(scale * held_out.width), round(scale * held_out.height))
                 render = partial(run.renderer.render, camera)
-                times = alternate({"frame": render}, repeats)["frame"]
+                times = timed(render, repeats)
                 with torch.no_grad(), profile(activities=[ProfilerActivity.CPU]) as profiled:
                     render()
                 spent = {event.key: event.cpu_time_total / 1000 for event in profiled.key_averages()}

@@ -25,6 +25,11 @@ def alternate(calls: dict[str, Callable[[], object]], repeats: int) -> dict[str,
     return {name: quartiles(of) for name, of in seconds.items()}
 
 
+def timed(call: Callable[[], object], repeats: int) -> dict[str, float]:
+    """Median and quartiles of one call in milliseconds, after one to warm up."""
+    return alternate({"call": call}, repeats)["call"]
+
+
 def show(times: dict[str, float]) -> str:
     """Median (quartiles), ms."""
     return f"{times['ms']:.1f} ({times['low']:.1f}–{times['high']:.1f})"
