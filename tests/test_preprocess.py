@@ -66,7 +66,8 @@ def test_unseen_vertices_keep_the_files_own_colours(workspace: Path, tmp_path: P
     both.export(path)
     scene = preprocess(workspace, tmp_path / "scene", PreprocessOptions(background="none"))
     assert scene.summary["mesh"]["coloured"]
-    hidden = np.isin(scene.mesh.vertices, below.vertices.astype(np.float32)).all(1)
+    unseen = {tuple(vertex) for vertex in below.vertices.astype(np.float32).tolist()}
+    hidden = np.array([tuple(vertex) in unseen for vertex in scene.mesh.vertices.tolist()])
     assert hidden.sum() == len(below.vertices)
     assert (scene.mesh.colours[hidden] == [1, 2, 3]).all()
     assert (scene.mesh.colours[~hidden] != [1, 2, 3]).any()
