@@ -49,17 +49,12 @@ class Tiling {
         return {x, y, std::min(x + (1 << log_width_), width_), std::min(y + (1 << log_height_), height_)};
     }
 
-    // The place of pixel (x, y) in a buffer of one tile.
-    int slot(const PixelBox& tile, int32_t x, int32_t y) const {
-        return ((y - tile.y0) << log_width_) + (x - tile.x0);
-    }
-
-    // The place of a tile in the grid of tiles, and of a pixel in it: number = row * columns + column.
+    // Tiles are counted along the rows of their grid; their sides are powers of two.
     int columns() const { return columns_; }
     int log_width() const { return log_width_; }
     int log_height() const { return log_height_; }
 
-    // Slots from one row of a tile's buffer to the next.
+    // Numbers from one row of a tile's buffer to the next.
     int stride() const { return 1 << log_width_; }
 
     // How many tiles a box of pixels touches.

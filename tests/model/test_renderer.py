@@ -69,10 +69,10 @@ def test_gradient_reaches_only_what_the_view_sees(bumpy: Mesh, camera: Camera) -
 
 
 def test_supersampling_averages_the_samples(bumpy: Mesh, camera: Camera) -> None:
-    fine = randomised(Renderer(replace(COLOUR, supersample=3), [bumpy]))
+    fine = randomised(Renderer(replace(COLOUR, supersample=4), [bumpy]))
     plain = randomised(Renderer(COLOUR, [bumpy]))
-    large = camera.resized(3 * camera.width, 3 * camera.height)
-    expected = torch.nn.functional.avg_pool2d(plain(plain.rasterize(large), large), 3)
+    large = camera.resized(4 * camera.width, 4 * camera.height)
+    expected = torch.nn.functional.avg_pool2d(plain(plain.rasterize(large), large), 4)
     torch.testing.assert_close(fine(fine.rasterize(camera), camera), expected)
 
 
@@ -120,6 +120,8 @@ def test_config_refuses_nonsense() -> None:
         ModelConfig(faces=False, points=False)
     with pytest.raises(ValueError, match="supersampled"):
         ModelConfig(supersample=2)
+    with pytest.raises(ValueError, match="supersample: .*got 3"):
+        ModelConfig(supersample=3, points=False)
     with pytest.raises(ValueError, match="without a network"):
         ModelConfig(widths=())
     with pytest.raises(ValueError, match="colour_skip needs"):

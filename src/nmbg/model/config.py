@@ -47,6 +47,8 @@ class ModelConfig:
     def __post_init__(self) -> None:
         if not self.faces and not self.points:
             raise ValueError("a model rasterizes faces, points or both; got neither")
+        if self.supersample not in (1, 2, 4, 8):
+            raise ValueError(f"supersample: expected 1, 2, 4 or 8, got {self.supersample}")
         if self.supersample > 1 and self.points:
             raise ValueError("points have a radius in pixels and are not supersampled; leave one out")
         if not self.widths and not self.colour_skip:
