@@ -120,7 +120,7 @@ def test_config_refuses_nonsense() -> None:
         ModelConfig(faces=False, points=False)
     with pytest.raises(ValueError, match="supersampled"):
         ModelConfig(supersample=2)
-    with pytest.raises(ValueError, match="supersample: .*got 3"):
+    with pytest.raises(ValueError, match=r"supersample: .*got 3"):
         ModelConfig(supersample=3, points=False)
     with pytest.raises(ValueError, match="without a network"):
         ModelConfig(widths=())
