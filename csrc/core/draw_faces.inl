@@ -58,8 +58,9 @@ NMBG_INLINE Batch prepare(const FacesView<T>& view, const Level& level, const Pi
     Batch batch{Triangle<f64x8>(h), {}, {}, {}};
 
     f32x8 u[3], v[3];
-    i64x8 front = h[0].z > 0;
-    front &= (h[1].z > 0) & (h[2].z > 0);
+    // What is nearer has no reciprocal in float.
+    constexpr double nearest = 1e-30;
+    const i64x8 front = (h[0].z > nearest) & (h[1].z > nearest) & (h[2].z > nearest);
     for (int k = 0; k < 3; ++k) {
         const f32x8 inverse = 1 / __builtin_convertvector(h[k].z, f32x8);
         u[k] = __builtin_convertvector(h[k].x, f32x8) * inverse;
@@ -69,7 +70,7 @@ NMBG_INLINE Batch prepare(const FacesView<T>& view, const Level& level, const Pi
         pixels_within<f32x8>(least_of(least_of(u[0], u[1]), u[2]), least_of(least_of(v[0], v[1]), v[2]),
                              greatest_of(greatest_of(u[0], u[1]), u[2]),
                              greatest_of(greatest_of(v[0], v[1]), v[2]), level.width, level.height);
-    // What crosses the camera plane may reach the whole tile.
+    // What crosses the camera plane, or nearly does, may reach the whole tile.
     const i32x8 bounded = narrow(front);
     const i32x8 left = i32x8{} + tile.x0, top = i32x8{} + tile.y0;
     const i32x8 right = i32x8{} + tile.x1, bottom = i32x8{} + tile.y1;

@@ -239,6 +239,16 @@ def test_what_cannot_be_drawn_is_left_out(op, dtype):
     assert depth.isfinite().all()
 
 
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_a_corner_as_good_as_on_the_camera_plane_hides_no_pixel(dtype):
+    # Above the image, below the left and the right edge; z so small that its reciprocal is infinite in float.
+    h = torch.tensor([[0, 0, 1e-40], [-20, 40, 1], [60, 40, 1]], dtype=dtype)
+    found = rasterize_faces(h, int32([0, 1, 2]), 32, 40)
+    expected = reference.rasterize_faces(h, int32([0, 1, 2]), 32, 40)
+    assert (expected.face == 0).sum() > 100
+    assert torch.equal(found.face, expected.face)
+
+
 def test_empty_inputs():
     none = torch.zeros(0, 3)
     for faces, h in ((int32([]), none), (int32([]), torch.ones(4, 3))):
