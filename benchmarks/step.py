@@ -29,10 +29,11 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from nmbg.mesh import Mesh
 from nmbg.scene import Scene
-from nmbg.training import checkpoint, trainer
+from nmbg.training import checkpoint, loop, member
 from nmbg.training.config import PRESETS, TrainConfig
-from nmbg.training.optimiser import Optimiser
+from nmbg.training.optimiser import descend, descriptors_part, differentiate, network_part
 from nmbg.training.start import mean_colours
+from nmbg.training.trainer import make_perceptual
 
 VIEWS = 4
 PARTS = {
@@ -52,18 +53,24 @@ class Steps:
         self.config, self.renderer = config, checkpoint.build_renderer(scene, config)
         self.renderer.set_colours(mean_colours(self.renderer.layers))
         self.renderer.train()
-        self.perceptual = trainer._perceptual(config, weights)
-        self.views, _ = trainer._views(scene, config, self.renderer, None)
+        self.perceptual = make_perceptual(config, weights)
+        self.views, _ = member.make_views(scene, config, self.renderer, None)
         self.stage = config.stages[-1]
-        self.optimiser = Optimiser(self.renderer, self.stage)
+        self.parts = [
+            *network_part(self.renderer.network, self.stage),
+            *descriptors_part(self.renderer, self.stage),
+        ]
         self.number = 0
 
     def step(self) -> None:
         """One step, as training does it."""
-        example = trainer._draw(self.views, self.config, self.number)
+        example = self.views.frame(self.number % len(self.views))
+        generator = torch.Generator().manual_seed(self.number)
         with torch.autocast("cpu", torch.bfloat16, enabled=self.config.bf16):
-            loss = trainer._loss(self.renderer, self.stage, self.perceptual, example)["loss"]
-        self.optimiser.step(loss, 0.1)
+            image = loop.render(self.renderer, self.stage, example)[None]
+            loss = loop.losses(image, self.stage, self.perceptual, None, example, generator)["loss"]
+        assert differentiate(loss, self.parts)
+        descend(self.parts, 0.9)
         self.number += 1
 
 

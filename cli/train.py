@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 from click.core import ParameterSource
@@ -17,7 +18,7 @@ from nmbg.cli.options import (
     weights_option,
 )
 from nmbg.errors import NmbgError
-from nmbg.training.config import PRESETS
+from nmbg.training.config import PRESETS, TrainConfig
 
 
 class PhotoCount(click.ParamType[int | str]):
@@ -38,8 +39,13 @@ class PhotoCount(click.ParamType[int | str]):
         return int(value)
 
 
-@click.command(epilog="\b\nExample:\n  nmbg train out/room --output out/room-run --minutes 15 --weights DIR")
-@click.argument("scene", type=FOLDER, required=False)
+@click.command(
+    epilog="\b\nExamples:\n  nmbg train out/room --output out/room-run --minutes 15\n"
+    "  nmbg train out/room out/garden --preset paper --output out/both --weights DIR\n"
+    "  nmbg train out/hall --preset paper --init out/both --output out/hall-run --weights DIR\n"
+    "  torchrun --nproc-per-node 2 -m nmbg train out/room out/garden --preset paper --output out/both"
+)
+@click.argument("scenes", type=FOLDER, nargs=-1, metavar="SCENE...")
 @click.option("--output", type=NEW_FOLDER, required=True, help="Run folder to write.")
 @click.option(
     "--preset", type=click.Choice(list(PRESETS)), default="nmbg", show_default=True, help="What to train."
@@ -51,6 +57,17 @@ class PhotoCount(click.ParamType[int | str]):
 @click.option("--epochs", type=click.IntRange(min=0), help="Budget in passes over the training views.")
 @click.option("--perceptual", help='Layers of L_rec: "vgg19", "vgg19:relu1_2,relu2_2,relu3_1" or "none".')
 @weights_option
+@click.option(
+    "--adversarial", type=click.FloatRange(min=0), help="Weight λ of the adversarial loss, 0 for none."
+)
+@click.option(
+    "--artificial-views",
+    type=click.FloatRange(min=0, max=1, max_open=True),
+    help="Share of the steps that look at views without a photograph, for the adversarial loss alone.",
+)
+@click.option(
+    "--init", type=FOLDER, metavar="RUN", help="Begin with the network of another run, of one scene or many."
+)
 @click.option("--zoom", type=click.FloatRange(min=1), help="Largest random zoom of training windows.")
 @click.option(
     "--window", type=click.FloatRange(min=0, max=1, min_open=True), help="Training windows' share of a side."
@@ -83,43 +100,89 @@ class PhotoCount(click.ParamType[int | str]):
 def command(
     context: click.Context,
     /,
-    scene: Path | None,
+    scenes: tuple[Path, ...],
     output: Path,
     preset: str,
     weights: Path | None,
+    init: Path | None,
     device: str,
     overwrite: bool,
     resuming: bool,
-    **options: object,
+    **options: Any,
 ) -> None:
-    """Train SCENE, a folder that nmbg preprocess wrote."""
-    from nmbg.scene import Scene
-    from nmbg.training.trainer import resume, train
+    """Train SCENE, a folder that nmbg preprocess wrote.
 
-    if resuming:
-        _refuse_options(context)
-        click.echo(resume(output, weights))
-        return
-    if scene is None:
-        raise NmbgError("no scene given; name a folder that nmbg preprocess wrote")
+    Several scenes share one network, and OUTPUT/scenes/NAME is a run folder of each. Under torchrun their
+    processes share the scenes out.
+    """
+    from nmbg.training import processes
+
+    with processes.joined(device):
+        if resuming:
+            _refuse_options(context)
+            written = _resume(output, weights)
+        elif scenes:
+            config = _config(preset, device, options, len(scenes))
+            written = _train(scenes, config, output, weights, overwrite, init)
+        else:
+            raise NmbgError("no scene given; name a folder that nmbg preprocess wrote")
+        if processes.rank() == 0:
+            click.echo(written)
+
+
+def _train(scenes: tuple[Path, ...], config: TrainConfig, output: Path, *options: Any) -> Path:
+    from nmbg.scene import Scene
+    from nmbg.training import processes
+    from nmbg.training.full import train_together
+    from nmbg.training.trainer import train
+
+    if len(scenes) == processes.size() == 1:
+        return train(Scene.load(scenes[0]), config, output, *options)
+    return train_together(scenes, config, output, *options)
+
+
+def _resume(output: Path, weights: Path | None) -> Path:
+    from nmbg.training import checkpoint, processes
+    from nmbg.training.full import resume_together
+    from nmbg.training.trainer import resume
+
+    scenes, _ = checkpoint.load_config(output)
+    if len(scenes) == processes.size() == 1:
+        return resume(output, weights)
+    return resume_together(output, weights)
+
+
+def _config(preset: str, device: str, options: dict[str, Any], scenes: int) -> TrainConfig:
+    """The preset with what was asked for."""
+    from nmbg.training.full import EPOCHS
+
     given = {name: value for name, value in options.items() if value is not None}
     if given.keys() & {"minutes", "iterations", "epochs"}:
         given = {"minutes": None, "iterations": None, "epochs": None, **given}
+    elif scenes > 1:
+        given |= {"minutes": None, "iterations": None, "epochs": EPOCHS}
     given.setdefault("bf16", _has_bf16(device))
     if given.get("perceptual", "none") != "none" and not any(s.perceptual for s in PRESETS[preset].stages):
         raise NmbgError(f"--perceptual: preset {preset} trains without L_rec; leave it out")
     if "photos" in given and not PRESETS[preset].model.sources:
         raise NmbgError(f"--photos: preset {preset} blends no photographs; leave it out")
+    stages = PRESETS[preset].stages
+    if "adversarial" in given:
+        if not any(stage.network for stage in stages):
+            raise NmbgError(f"--adversarial: preset {preset} trains no network; leave it out")
+        weight = given.pop("adversarial")
+        stages = tuple(replace(stage, adversarial=weight) if stage.network else stage for stage in stages)
+        if not weight:
+            given.setdefault("artificial_views", 0.0)
     try:
-        config = replace(PRESETS[preset], device=device, **given)  # type: ignore[arg-type]
+        return replace(PRESETS[preset], device=device, stages=stages, **given)
     except ValueError as error:
         raise NmbgError(f"{error}; see nmbg train --help") from error
-    click.echo(train(Scene.load(scene), config, output, weights, overwrite))
 
 
 def _refuse_options(context: click.Context) -> None:
     """A resumed run keeps its own options; naming others would change its meaning silently."""
-    free = {"output", "resuming", "weights", "threads", "scene"}
+    free = {"output", "resuming", "weights", "threads", "scenes"}
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
         if parameter.name not in free and source is ParameterSource.COMMANDLINE:

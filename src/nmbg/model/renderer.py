@@ -29,9 +29,10 @@ class Renderer(nn.Module):
     Args:
         config: the model.
         layers: one mesh per layer, foreground first.
+        network: of another renderer of this model, to be shared with it; otherwise a new one is made.
     """
 
-    def __init__(self, config: ModelConfig, layers: Sequence[Mesh]) -> None:
+    def __init__(self, config: ModelConfig, layers: Sequence[Mesh], network: nn.Module | None = None) -> None:
         super().__init__()
         if len(layers) != config.layers:
             raise ValueError(f"expected {config.layers} layers, got {len(layers)}")
@@ -39,21 +40,7 @@ class Renderer(nn.Module):
         self.layers = tuple(layers)
         self.descriptors = nn.ModuleList(Descriptors(len(mesh.vertices), config) for mesh in layers)
         self.photographs: Photographs | None = None
-        channels = count_features(config.sources) if config.sources else config.channels
-        self.network = (
-            UNet(
-                config.layers,
-                channels,
-                config.widths,
-                config.norm,
-                zero_start=config.colour_skip,
-                results=3 + config.sources,
-            )
-            if config.widths
-            else None
-        )
-        if self.network is not None:
-            self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.network = make_network(config) if network is None else network
 
     @property
     def _descriptors(self) -> list[Descriptors]:
@@ -168,6 +155,21 @@ class Renderer(nn.Module):
         finally:
             self.train(training)
         return image.clamp(0, 1).cpu()
+
+
+def make_network(config: ModelConfig) -> UNet | None:
+    """The network of a model with random weights; None where the model has none."""
+    if not config.widths:
+        return None
+    network = UNet(
+        config.layers,
+        count_features(config.sources) if config.sources else config.channels,
+        config.widths,
+        config.norm,
+        zero_start=config.colour_skip,
+        results=3 + config.sources,
+    )
+    return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
 
 
 def _centred(coeffs: Tensor) -> Tensor:

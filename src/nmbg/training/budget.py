@@ -23,6 +23,10 @@ class Clock:
         """Seconds since the run began, pauses not counted."""
         return self.before + time.monotonic() - self._start
 
+    def agree(self, seconds: float) -> None:
+        """Put the clock forward to what another process's says, where that is further."""
+        self.before += max(0.0, seconds - self.seconds)
+
 
 class Budget:
     """How much of a run is over.
@@ -32,14 +36,14 @@ class Budget:
 
     Args:
         config: the run; without any of the three budgets the run is over at once.
-        n_views: training views, one epoch.
+        n_steps: of a pass over the training views, one epoch.
         clock: of the run.
     """
 
-    def __init__(self, config: TrainConfig, n_views: int, clock: Clock) -> None:
+    def __init__(self, config: TrainConfig, n_steps: int, clock: Clock) -> None:
         self.clock = clock
         self.seconds = None if config.minutes is None else 60 * config.minutes
-        self.steps = config.iterations if config.epochs is None else config.epochs * n_views
+        self.steps = config.iterations if config.epochs is None else config.epochs * n_steps
         self._ends = _stage_ends(config.stages)
 
     def progress(self, step: int) -> float:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import torch
 import yaml
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
+from torch import nn
 
 from nmbg import __version__
 from nmbg.atomic import atomic_file, atomic_folder
@@ -23,10 +24,10 @@ from nmbg.model.config import ModelConfig
 from nmbg.model.renderer import Renderer
 from nmbg.scene import Scene, View
 from nmbg.training.config import Stage, TrainConfig
-from nmbg.training.optimiser import State
 
 CONFIG = "config.yaml"
 SCENE = "scene"
+SCENES = "scenes"
 
 
 @dataclass(frozen=True)
@@ -52,15 +53,21 @@ class Progress:
 
     Args:
         step: steps done.
+        length: steps of a pass over the training views.
         seconds: seconds spent.
-        stage: index of the stage whose optimiser state is kept.
-        optimiser: its state.
+        stage: index of the stage whose optimisers' state is kept.
+        caution: factor of the learning rates, below 1 after losses that were not finite.
+        skipped: per view, how many steps were left out because its loss was not finite.
+        scenes: of a run over several scenes, the step of each one's own checkpoint.
     """
 
     step: int = 0
+    length: int = 0
     seconds: float = 0.0
     stage: int = 0
-    optimiser: list[State] | None = None
+    caution: float = 1.0
+    skipped: dict[str, int] = field(default_factory=dict)
+    scenes: dict[str, int] = field(default_factory=dict)
 
 
 def scene_layers(scene: Scene, config: ModelConfig) -> list[Mesh]:
@@ -70,10 +77,10 @@ def scene_layers(scene: Scene, config: ModelConfig) -> list[Mesh]:
     return list(split_layers(scene.mesh, scene.centre, scene.radius))
 
 
-def build_renderer(scene: Scene, config: TrainConfig) -> Renderer:
-    """A renderer with seeded weights and zero descriptors."""
+def build_renderer(scene: Scene, config: TrainConfig, network: nn.Module | None = None) -> Renderer:
+    """A renderer with zero descriptors and the network given, or one with seeded weights."""
     torch.manual_seed(config.seed)
-    return Renderer(config.model, scene_layers(scene, config.model)).to(config.device)
+    return Renderer(config.model, scene_layers(scene, config.model), network).to(config.device)
 
 
 def remember_photographs(run: Path, renderer: Renderer) -> None:
@@ -83,14 +90,22 @@ def remember_photographs(run: Path, renderer: Renderer) -> None:
         renderer.remember(scene, scene.views)
 
 
-def save_config(run: Path, scene: Scene, config: TrainConfig) -> None:
-    """Write config.yaml; the scene is stored relative to the run, so that both can be moved together."""
+def save_config(folder: Path, run: Path, scenes: Mapping[str, Path], config: TrainConfig) -> None:
+    """Write config.yaml; scenes are stored relative to the run, so that both can be moved together.
+
+    Args:
+        folder: where to write it.
+        run: the place that `folder` will have.
+        scenes: name → scene folder.
+        config: how they are trained.
+    """
+    home = run.resolve()
     content = {
         "nmbg": __version__,
-        "scene": os.path.relpath(scene.folder.resolve(), run.resolve()),
+        "scenes": {name: os.path.relpath(scene.resolve(), home) for name, scene in scenes.items()},
         **asdict(config),
     }
-    with atomic_file(run / CONFIG) as path:
+    with atomic_file(folder / CONFIG) as path:
         path.write_text(yaml.safe_dump(_plain(content), sort_keys=False))
 
 
@@ -106,8 +121,8 @@ def save_scene(run: Path, scene: Scene, views: Sequence[View]) -> None:
     replace(scene, views=tuple(views)).save(folder)
 
 
-def load_config(run: Path) -> tuple[Path, TrainConfig]:
-    """Read config.yaml → scene folder, config.
+def load_config(run: Path) -> tuple[dict[str, Path], TrainConfig]:
+    """Read config.yaml → name → scene folder, and how they are trained.
 
     Raises:
         NmbgError: no run folder, or its config.yaml is damaged or of another version.
@@ -117,28 +132,58 @@ def load_config(run: Path) -> tuple[Path, TrainConfig]:
         raise NmbgError(f"{run}: not a run folder (no {CONFIG}); give the --output folder of nmbg train")
     try:
         content = yaml.safe_load(path.read_text())
-        scene = Path(os.path.normpath(run.resolve() / content.pop("scene")))
+        home, scenes = run.resolve(), content.pop("scenes")
+        folders = {name: Path(os.path.normpath(home / scene)) for name, scene in scenes.items()}
         content.pop("nmbg")
         content["model"]["widths"] = tuple(content["model"]["widths"])
         content["model"] = ModelConfig(**content["model"])
         content["stages"] = tuple(Stage(**stage) for stage in content["stages"])
-        return scene, TrainConfig(**content)
+        return folders, TrainConfig(**content)
     except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
         reason = str(error).splitlines()[0]
         raise NmbgError(f"{path}: damaged or of another version ({reason}); train the run anew") from error
 
 
-def save_checkpoint(run: Path, renderer: Renderer, progress: Progress) -> None:
-    """Write checkpoints/STEP, then drop the older ones."""
+def load_one(run: Path) -> tuple[Path, TrainConfig]:
+    """Read the config.yaml of a run of one scene → its folder, and how it is trained.
+
+    Raises:
+        NmbgError: as load_config(); or the run holds several scenes.
+    """
+    scenes, config = load_config(run)
+    if len(scenes) != 1:
+        raise NmbgError(f"{run}: holds {len(scenes)} scenes; name one of them: {run / SCENES / min(scenes)}")
+    return next(iter(scenes.values())), config
+
+
+def save_checkpoint(
+    run: Path,
+    progress: Progress,
+    modules: Mapping[str, nn.Module | None],
+    optimisers: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write checkpoints/STEP: NAME.safetensors of each module, the optimisers' states, and progress.json."""
     folder = run / "checkpoints" / f"{progress.step:08d}"
     with atomic_folder(folder, overwrite=True) as temporary:
-        tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in renderer.state_dict().items()}
-        save_file(tensors, temporary / "model.safetensors")
-        torch.save(progress.optimiser, temporary / "optimiser.pt")
-        state = {"step": progress.step, "seconds": progress.seconds, "stage": progress.stage}
-        (temporary / "progress.json").write_text(json.dumps(state))
-    for other in folder.parent.iterdir():
-        if other.name != folder.name:
+        for name, module in modules.items():
+            if module is not None:
+                save_module(temporary, name, module)
+        torch.save(dict(optimisers or {}), temporary / "optimisers.pt")
+        (temporary / "progress.json").write_text(json.dumps(asdict(progress)))
+    return folder
+
+
+def save_module(checkpoint: Path, name: str, module: nn.Module) -> None:
+    """Replace one module's weights in a checkpoint."""
+    tensors = {key: tensor.detach().cpu().contiguous() for key, tensor in module.state_dict().items()}
+    with atomic_file(checkpoint / f"{name}.safetensors") as path:
+        save_file(tensors, path)
+
+
+def drop_others(checkpoint: Path) -> None:
+    """Drop the checkpoints beside one."""
+    for other in checkpoint.parent.iterdir():
+        if other.name != checkpoint.name:
             shutil.rmtree(other, ignore_errors=True)
 
 
@@ -148,15 +193,17 @@ def latest_checkpoint(run: Path) -> Path | None:
     return found[-1] if found else None
 
 
-def load_model(checkpoint: Path, renderer: Renderer) -> None:
-    """Load a checkpoint's weights.
+def load_module(checkpoint: Path, name: str, module: nn.Module | None) -> None:
+    """Load a module's weights from a checkpoint; a module that is None has none.
 
     Raises:
         NmbgError: the file is missing, damaged, or belongs to another model or scene.
     """
-    path = checkpoint / "model.safetensors"
+    if module is None:
+        return
+    path = checkpoint / f"{name}.safetensors"
     try:
-        renderer.load_state_dict(load_file(path))
+        module.load_state_dict(load_file(path))
     except (SafetensorError, OSError) as error:
         raise NmbgError(
             f"{path}: not a readable checkpoint ({_first_line(error)}); train the run anew"
@@ -171,12 +218,26 @@ def load_progress(checkpoint: Path) -> Progress:
     """Load where training stood.
 
     Raises:
-        NmbgError: the files are missing or damaged.
+        NmbgError: the file is missing or damaged.
     """
     try:
         state: dict[str, Any] = json.loads((checkpoint / "progress.json").read_text())
-        optimiser = torch.load(checkpoint / "optimiser.pt", weights_only=True, map_location="cpu")
-        return Progress(**{f.name: state[f.name] for f in fields(Progress)[:3]}, optimiser=optimiser)
+        return Progress(**{f.name: state[f.name] for f in fields(Progress)})
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise NmbgError(
+            f"{checkpoint}: damaged checkpoint ({_first_line(error)}); train the run anew"
+        ) from error
+
+
+def load_optimisers(checkpoint: Path) -> dict[str, Any]:
+    """Load the optimisers' states.
+
+    Raises:
+        NmbgError: the file is missing or damaged.
+    """
+    try:
+        state = torch.load(checkpoint / "optimisers.pt", weights_only=True, map_location="cpu")
+        return dict(state)
     except Exception as error:  # torch.load raises anything on damaged files
         raise NmbgError(
             f"{checkpoint}: damaged checkpoint ({_first_line(error)}); train the run anew"
@@ -193,12 +254,13 @@ def load_run(run: Path, device: str = "cpu") -> Run:
     Raises:
         NmbgError: what is missing or damaged, and the remedy.
     """
-    folder, config = load_config(run)
+    folder, config = load_one(run)
     checkpoint = latest_checkpoint(run)
     if checkpoint is None:
         raise NmbgError(f"{run}: no checkpoint yet; continue it with nmbg train --resume")
     renderer = build_renderer(Scene.load(run / SCENE), replace(config, device=device))
-    load_model(checkpoint, renderer)
+    load_module(checkpoint, "descriptors", renderer.descriptors)
+    load_module(checkpoint, "network", renderer.network)
     remember_photographs(run, renderer)
     return Run(run, folder, config, renderer.eval())
 

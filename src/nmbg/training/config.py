@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -19,6 +20,7 @@ class Stage:
         network: train the whole model; otherwise only the colour on the mesh.
         perceptual: weight of L_rec (paper, equation 4), 0 to leave the feature network out.
         l1: weight of the mean absolute colour difference.
+        adversarial: weight λ of L_GAN (paper, equation 6), 0 to leave the discriminator out.
         descriptor_rate: learning rate of the descriptors at the stage's start.
         network_rate: learning rate of the network at the stage's start.
         decay: linear decay to zero at the stage's end; otherwise constant.
@@ -28,6 +30,7 @@ class Stage:
     network: bool
     perceptual: float = 0.0
     l1: float = 1.0
+    adversarial: float = 0.0
     descriptor_rate: float = 0.02
     network_rate: float = 1e-3
     decay: bool = True
@@ -48,6 +51,8 @@ class TrainConfig:
         iterations: steps in all, or None.
         epochs: passes over the training views, or None.
         minutes: wall-clock budget, or None. Exactly one of the three is set.
+        artificial_views: share of the steps that look at views without a photograph, for L_GAN alone, in
+            [0, 1).
         validation_views: training views kept aside for progress figures.
         refine: move the surface to where the photographs agree before anything else: "geometry" or "none".
         photos: training photographs kept in the run: how many at most, "auto" or "all".
@@ -67,6 +72,7 @@ class TrainConfig:
     iterations: int | None = None
     epochs: int | None = None
     minutes: float | None = None
+    artificial_views: float = 0.0
     validation_views: int = 2
     refine: Literal["geometry", "none"] = "none"
     photos: int | Literal["auto", "all"] = "all"
@@ -78,6 +84,20 @@ class TrainConfig:
     def __post_init__(self) -> None:
         if sum(budget is not None for budget in (self.iterations, self.epochs, self.minutes)) > 1:
             raise ValueError("give one of iterations, epochs and minutes")
+        if not 0 <= self.artificial_views < 1:
+            raise ValueError(f"artificial views: expected a share in [0, 1), got {self.artificial_views}")
+        for stage in self.stages:
+            weights = (stage.l1, stage.perceptual, stage.adversarial)
+            rates = (stage.descriptor_rate, stage.network_rate)
+            if not all(math.isfinite(value) and value >= 0 for value in (*weights, *rates)):
+                raise ValueError(f"weights and rates are not negative and finite; got {stage}")
+        if self.artificial_views and not all(stage.adversarial for stage in self.stages):
+            raise ValueError("artificial views have no photograph: they need an adversarial loss")
+
+    @property
+    def whole_frames(self) -> bool:
+        """Whether every step sees a whole frame, the same in every epoch."""
+        return self.zoom == 1 and self.window == 1
 
 
 NETWORK = (16, 32, 64, 128, 256)
@@ -124,6 +144,7 @@ PRESETS: dict[str, TrainConfig] = {
                     network=True,
                     perceptual=1.0,
                     l1=0.0,
+                    adversarial=1.0,
                     descriptor_rate=0.1,
                     network_rate=1e-4,
                     decay=False,
@@ -133,6 +154,7 @@ PRESETS: dict[str, TrainConfig] = {
             perceptual="vgg19",
             zoom=2.0,
             window=0.5,
+            artificial_views=0.25,
             epochs=100,
         ),
         TrainConfig(

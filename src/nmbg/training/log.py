@@ -7,11 +7,16 @@ from pathlib import Path
 
 from torch.utils.tensorboard.writer import SummaryWriter
 
-COLUMNS = ("step", "seconds", "progress", "stage", "loss", "l1", "perceptual", "validation_psnr")
+from nmbg.training import processes
+
+COLUMNS = (
+    *("step", "seconds", "progress", "stage", "scene", "loss", "l1", "perceptual", "adversarial"),
+    *("adversarial_share", "discriminator", "validation_psnr"),
+)
 
 
 class Log:
-    """Rows of figures, appended.
+    """Rows of figures, appended; written by the first of several processes alone.
 
     Args:
         run: run folder.
@@ -19,6 +24,9 @@ class Log:
     """
 
     def __init__(self, run: Path, step: int) -> None:
+        self._first = processes.rank() == 0
+        if not self._first:
+            return
         path = run / "log.csv"
         rows: list[list[str]] = []
         if step and path.exists():
@@ -29,20 +37,24 @@ class Log:
         self._writer.writerows([COLUMNS, *rows])
         self._events = SummaryWriter(str(run / "events"), purge_step=step or None)
 
-    def write(self, step: int, **values: float) -> None:
+    def write(self, step: int, **values: float | str) -> None:
         """Write one row; columns without a value stay empty."""
+        if not self._first:
+            return
         row = {"step": step, **values}
         self._writer.writerow([_short(row.get(column, "")) for column in COLUMNS])
         self._file.flush()
         for name, value in values.items():
-            self._events.add_scalar(name, value, step)
+            if not isinstance(value, str):
+                self._events.add_scalar(name, value, step)
 
     def __enter__(self) -> Log:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._file.close()
-        self._events.close()
+        if self._first:
+            self._file.close()
+            self._events.close()
 
 
 def _short(value: float | str) -> str:

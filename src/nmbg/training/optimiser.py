@@ -6,13 +6,11 @@ import math
 from collections.abc import Sequence
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from nmbg.model.renderer import Renderer
 from nmbg.ops import adam_rows
 from nmbg.training.config import Stage
-
-State = dict[str, object]
 
 
 class RowAdam(torch.optim.Optimizer):
@@ -70,47 +68,41 @@ def _rows(grad: Tensor) -> tuple[Tensor, Tensor]:
     return grad.indices()[0], grad.values()
 
 
-class Optimiser:
-    """Both optimisers of a stage, their learning rates and their state.
+# An optimiser and its learning rate at the stage's start.
+Part = tuple[torch.optim.Optimizer, float]
 
-    The descriptors' gradients are sparse: a step touches only the vertices that its view sees.
 
-    Args:
-        renderer: what is trained.
-        stage: rates and decay.
+def descriptors_part(renderer: Renderer, stage: Stage) -> list[Part]:
+    """What trains a scene's descriptors in a stage; empty where they stay as they are.
+
+    Their gradients are sparse: a step touches only the vertices that its view sees.
     """
+    if stage.descriptor_rate == 0:
+        return []
+    tables = list(renderer.descriptors.parameters())
+    return [(RowAdam(tables, lr=stage.descriptor_rate), stage.descriptor_rate)]
 
-    def __init__(self, renderer: Renderer, stage: Stage) -> None:
-        self.stage = stage
-        self.parts: list[tuple[torch.optim.Optimizer, float]] = []
-        if stage.descriptor_rate > 0:
-            descriptors = RowAdam(list(renderer.descriptors.parameters()), lr=stage.descriptor_rate)
-            self.parts.append((descriptors, stage.descriptor_rate))
-        if stage.network and renderer.network is not None:
-            network = torch.optim.Adam(renderer.network.parameters(), lr=stage.network_rate)
-            self.parts.append((network, stage.network_rate))
 
-    def step(self, loss: Tensor, done: float) -> None:
-        """Descend once.
+def network_part(network: nn.Module | None, stage: Stage) -> list[Part]:
+    """What trains the network in a stage; empty where there is none to train."""
+    if network is None or not stage.network:
+        return []
+    return [(torch.optim.Adam(network.parameters(), lr=stage.network_rate), stage.network_rate)]
 
-        Args:
-            loss: scalar.
-            done: share of the stage that is over, in [0, 1].
-        """
-        factor = 1 - done if self.stage.decay else 1.0
-        for optimiser, rate in self.parts:
-            optimiser.zero_grad(set_to_none=True)
-            for group in optimiser.param_groups:
-                group["lr"] = rate * factor
-        loss.backward()  # type: ignore[no-untyped-call]
-        for optimiser, _ in self.parts:
-            optimiser.step()
 
-    def state_dict(self) -> list[State]:
-        """State of both, for a checkpoint."""
-        return [optimiser.state_dict() for optimiser, _ in self.parts]
+def differentiate(loss: Tensor, parts: Sequence[Part]) -> bool:
+    """Fill the gradients of what the parts train; whether loss and gradients are finite."""
+    for optimiser, _ in parts:
+        optimiser.zero_grad(set_to_none=True)
+    loss.backward()  # type: ignore[no-untyped-call]
+    grads = [p.grad for optimiser, _ in parts for group in optimiser.param_groups for p in group["params"]]
+    values = [loss, *(g._values() if g.is_sparse else g for g in grads if g is not None)]
+    return all(bool(torch.isfinite(value.sum())) for value in values)
 
-    def load_state_dict(self, states: list[State]) -> None:
-        """Continue from a checkpoint."""
-        for (optimiser, _), state in zip(self.parts, states, strict=True):
-            optimiser.load_state_dict(state)
+
+def descend(parts: Sequence[Part], factor: float) -> None:
+    """Step along the gradients, at so much of each part's rate."""
+    for optimiser, rate in parts:
+        for group in optimiser.param_groups:
+            group["lr"] = rate * factor
+        optimiser.step()

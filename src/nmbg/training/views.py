@@ -24,22 +24,21 @@ class Example:
         name: of the view.
         camera: the window that is trained on.
         sight: what the renderer needs of the view.
-        image: [3, H, W] uint8.
+        image: [3, H, W] uint8; None of an artificial view.
         mask: [H, W] bool, or None when every pixel counts.
     """
 
     name: str
     camera: Camera
     sight: Prepared
-    image: Tensor
+    image: Tensor | None
     mask: Tensor | None
 
     @property
     def nbytes(self) -> int:
         """Memory held, bytes."""
-        mask = 0 if self.mask is None else self.mask.nbytes
         parts = self.sight if isinstance(self.sight, list) else [self.sight]
-        return self.image.nbytes + mask + sum(part.nbytes for part in parts)
+        return sum(part.nbytes for part in (self.image, self.mask, *parts) if part is not None)
 
 
 class Views:
@@ -66,6 +65,15 @@ class Views:
     def __len__(self) -> int:
         return len(self.views)
 
+    @property
+    def nbytes(self) -> int:
+        """Memory held by what is kept, bytes."""
+        return sum(example.nbytes for example in self._cache.values())
+
+    def photograph(self, i: int) -> tuple[Tensor, Tensor | None]:
+        """The photograph of view i, [3, H, W] uint8, and its mask, [H, W] bool or None."""
+        return self._load(self.views[i])
+
     def frame(self, i: int) -> Example:
         """The whole frame of view i."""
         if i in self._cache:
@@ -88,6 +96,7 @@ class Views:
         """
         frame = self.frame(i)
         assert isinstance(frame.sight, Gathered)
+        assert frame.image is not None
         width, height = (
             min(side, max(1, round(share * side / multiple)) * multiple)
             for side in (frame.camera.width, frame.camera.height)
@@ -117,14 +126,8 @@ class Views:
             generator: source of the random numbers.
         """
         view = self.views[i]
-        factor, fx, fy = torch.rand(3, generator=generator).tolist()
-        scale = 1 + (zoom - 1) * factor
-        camera = view.camera
-        width, height = max(1, round(share * camera.width)), max(1, round(share * camera.height))
-        # A window of `size` pixels at `scale` covers size / scale pixels of the photograph.
-        x0 = fx * (camera.width - width / scale)
-        y0 = fy * (camera.height - height / scale)
-        moved = camera.cropped(x0, y0, camera.width, camera.height).scaled(scale, scale, width, height)
+        moved, x0, y0, scale = random_window(view.camera, share, zoom, generator)
+        width, height = moved.width, moved.height
         image, mask = self._load(view)
         image = _resample(image.float(), x0, y0, scale, width, height).round().to(torch.uint8)
         if mask is not None:
@@ -138,6 +141,30 @@ class Views:
 
     def _example(self, view: View, camera: Camera, image: Tensor, mask: Tensor | None) -> Example:
         return Example(view.name, camera, self.see(camera, view), image, mask)
+
+
+def random_window(
+    camera: Camera, share: float, zoom: float, generator: torch.Generator
+) -> tuple[Camera, float, float, float]:
+    """A random window of a camera's image, zoomed by a random factor in [1, zoom].
+
+    Args:
+        camera: the whole view.
+        share: the window's sides as a share of the image's, after zooming.
+        zoom: largest zoom.
+        generator: source of the random numbers.
+
+    Returns:
+        the window's camera, its corner x, y in pixels of the image, and the zoom.
+    """
+    factor, fx, fy = torch.rand(3, generator=generator).tolist()
+    scale = 1 + (zoom - 1) * factor
+    width, height = max(1, round(share * camera.width)), max(1, round(share * camera.height))
+    # A window of `size` pixels at `scale` covers size / scale pixels of the photograph.
+    x0 = fx * (camera.width - width / scale)
+    y0 = fy * (camera.height - height / scale)
+    moved = camera.cropped(x0, y0, camera.width, camera.height).scaled(scale, scale, width, height)
+    return moved, x0, y0, scale
 
 
 def _resample(image: Tensor, x0: float, y0: float, scale: float, width: int, height: int) -> Tensor:

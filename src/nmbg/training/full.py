@@ -1,0 +1,246 @@
+"""Full training (paper, section 3.4): one network over several scenes, each with descriptors of its own.
+
+A run's scenes/NAME is itself a run folder of one scene: evaluate it, copy it elsewhere, or remove it when it
+is no longer wanted. Scenes are loaded for the steps that look at them and stay while memory lasts. Started by
+torchrun, each process trains some of the scenes, and the network's gradients are averaged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from nmbg.atomic import atomic_folder, refuse_existing
+from nmbg.errors import NmbgError
+from nmbg.model.renderer import make_network
+from nmbg.progress import console
+from nmbg.scene import Scene
+from nmbg.training import checkpoint, processes
+from nmbg.training.budget import Clock
+from nmbg.training.checkpoint import SCENES, Progress
+from nmbg.training.config import TrainConfig
+from nmbg.training.initial import take_over
+from nmbg.training.loop import fit
+from nmbg.training.member import Member, begin, split_training
+from nmbg.training.schedule import extra_steps, shard
+from nmbg.training.trainer import make_adversary, make_perceptual, smallest_view
+from nmbg.training.views import GIB
+
+EPOCHS = 15  # paper, section 4
+
+
+def train_together(
+    folders: Sequence[Path],
+    config: TrainConfig,
+    run: Path,
+    weights: Path | None = None,
+    overwrite: bool = False,
+    init: Path | None = None,
+) -> Path:
+    """Train several scenes with one network, in all processes that torchrun started.
+
+    Args:
+        folders: scene folders; their last names are the scenes' names.
+        config: a preset with a network, and a budget.
+        run: folder to write; it appears with the first checkpoint.
+        weights: folder of pretrained weights for L_rec.
+        overwrite: replace an existing run.
+        init: run whose network training begins with.
+
+    Returns:
+        the run folder.
+
+    Raises:
+        NmbgError: what is wrong with the scenes, the weights or a folder, and the remedy.
+        KeyboardInterrupt: interrupted; a checkpoint was saved.
+    """
+    clock = Clock()
+    scenes = {folder.resolve().name: folder for folder in folders}
+    _check(scenes, folders, config)
+    company = _Company.of(run, scenes, config)
+    perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *company.smallest)
+    if init is not None:
+        take_over(init, config, company.bare, adversary)
+    first = processes.rank() == 0
+    if first:
+        refuse_existing(run, overwrite)
+    processes.wait()
+    if first:
+        with atomic_folder(run, overwrite) as temporary:
+            company.begin(processes.gathered(temporary)[0])
+            checkpoint.save_config(temporary, run, scenes, config)
+            progress = Progress(seconds=clock.seconds, scenes=dict.fromkeys(scenes, 0))
+            checkpoint.save_checkpoint(temporary, progress, {"network": company.bare})
+    else:
+        company.begin(processes.gathered(Path())[0])
+    processes.wait()
+    company.share()
+    fit(config, run, company, perceptual, adversary, Progress(), {}, clock)
+    return run
+
+
+def resume_together(run: Path, weights: Path | None = None) -> Path:
+    """Continue an interrupted run over several scenes, with any number of processes up to the scenes'.
+
+    Args:
+        run: run folder.
+        weights: folder of pretrained weights for L_rec.
+
+    Returns:
+        the run folder.
+
+    Raises:
+        NmbgError: the folder, a scene or a checkpoint is missing or damaged.
+        KeyboardInterrupt: interrupted; a checkpoint was saved.
+    """
+    scenes, config = checkpoint.load_config(run)
+    found = checkpoint.latest_checkpoint(run)
+    if found is None:
+        raise NmbgError(f"{run}: no checkpoint to resume from; train it anew with --overwrite")
+    _check(scenes, list(scenes.values()), config)
+    state, optimisers = checkpoint.load_progress(found), checkpoint.load_optimisers(found)
+    clock = Clock(state.seconds)
+    company = _Company.of(run, scenes, config)
+    company.steps = {name: state.scenes[name] for name in company.steps}
+    checkpoint.load_module(found, "network", company.bare)
+    perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *company.smallest)
+    if adversary is not None and "adversary" in optimisers:
+        adversary.load_state_dict(optimisers["adversary"])
+    company.share()
+    fit(config, run, company, perceptual, adversary, state, optimisers, clock)
+    return run
+
+
+def _check(scenes: Mapping[str, Path], folders: Sequence[Path], config: TrainConfig) -> None:
+    """Refuse what cannot be trained together."""
+    if len(scenes) < len(folders):
+        raise NmbgError("two scene folders have the same last name, or one is given twice; rename one")
+    if not config.model.widths or not all(stage.network for stage in config.stages):
+        raise NmbgError(
+            f"--preset {config.preset} has no network that scenes could share; train them one by one"
+        )
+    if processes.size() > len(scenes):
+        raise NmbgError(
+            f"{processes.size()} processes for {len(scenes)} scenes; start at most one process per scene"
+        )
+    every = processes.gathered((list(scenes), config))
+    if any(other != every[0] for other in every):
+        raise NmbgError("the processes were given different scenes or options; start all with the same ones")
+
+
+class _Company:
+    """The scenes of this process; those in memory are the last that were looked at.
+
+    Args:
+        run: run folder.
+        names: of the scenes of this process.
+        counts: their training views.
+        length: steps of the longest pass of a process.
+        smallest: least width and height of a view of any scene.
+        config: how they are trained.
+        scenes: folders of this process's scenes.
+    """
+
+    def __init__(
+        self,
+        run: Path,
+        scenes: Mapping[str, Path],
+        counts: list[int],
+        length: int,
+        smallest: tuple[int, int],
+        config: TrainConfig,
+    ) -> None:
+        self.run, self.scenes, self.names, self.config = run, scenes, list(scenes), config
+        self.counts, self.length, self.smallest = counts, length, smallest
+        torch.manual_seed(config.seed)
+        network = make_network(config.model)
+        assert network is not None  # _check
+        self.bare: nn.Module = network.to(config.device)
+        self.network: nn.Module | None = self.bare
+        self.steps = dict.fromkeys(self.names, 0)  # of each scene's own checkpoint that is valid
+        self._written = dict(self.steps)
+        self._loaded: dict[str, Member] = {}
+
+    @staticmethod
+    def of(run: Path, scenes: Mapping[str, Path], config: TrainConfig) -> _Company:
+        """The part of a run's scenes that this process trains."""
+        counts, sizes = [], []
+        for folder in scenes.values():
+            scene = Scene.load(folder)
+            counts.append(len(split_training(scene, config)[0]))
+            sizes.append(smallest_view(scene))
+        steps = [count + extra_steps(count, config.artificial_views) for count in counts]
+        dealt = shard(counts, processes.size())
+        mine, names = dealt[processes.rank()], list(scenes)
+        width, height = (min(side) for side in zip(*sizes, strict=True))
+        return _Company(
+            run,
+            {names[i]: scenes[names[i]] for i in mine},
+            [counts[i] for i in mine],
+            max(sum(steps[i] for i in part) for part in dealt),
+            (width, height),
+            config,
+        )
+
+    def share(self) -> None:
+        """From now on the network's gradients are averaged over the processes."""
+        self.network = processes.shared(self.bare)
+        self._written = dict(self.steps)
+
+    def begin(self, run: Path) -> None:
+        """Write the scenes' folders below that of a run, up to their first checkpoints."""
+        for name, folder in self.scenes.items():
+            console.print(f"scene {name}")
+            place = run / SCENES / name
+            place.mkdir(parents=True)
+            _, renderer, _ = begin(Scene.load(folder), self.config, place, self.bare)
+            checkpoint.save_config(place, self.run / SCENES / name, {name: folder}, self.config)
+            modules = {"descriptors": renderer.descriptors, "network": self.bare}
+            checkpoint.save_checkpoint(place, Progress(), modules)
+
+    def member(self, scene: int) -> Member:
+        """One of the scenes; others make room for it when the memory of --cache is full."""
+        name = self.names[scene]
+        member = self._loaded.pop(name, None)
+        if member is None:
+            folder = self.run / SCENES / name
+            at = folder / "checkpoints" / f"{self._written[name]:08d}"
+            share = replace(self.config, cache_gib=self.config.cache_gib / len(self.names))
+            member = Member.load(folder, share, self.network, at)
+        self._loaded[name] = member  # the last one looked at
+        while len(self._loaded) > 1 and self._held() > self.config.cache_gib * GIB:
+            oldest = next(iter(self._loaded))
+            self._write(oldest, self._loaded.pop(oldest))
+        return member
+
+    def save(self, progress: Progress, optimisers: dict[str, Any]) -> None:
+        """Write the scenes' checkpoints, then the run's, which names them; then drop the older ones."""
+        for name, member in self._loaded.items():
+            self._write(name, member)
+        processes.average_buffers(self.bare)
+        steps = {name: step for part in processes.gathered(self._written) for name, step in part.items()}
+        if processes.rank() == 0:
+            modules = {"network": self.bare}
+            whole = checkpoint.save_checkpoint(self.run, replace(progress, scenes=steps), modules, optimisers)
+            checkpoint.drop_others(whole)
+        processes.wait()
+        self.steps = dict(self._written)
+        for name, step in self.steps.items():
+            own = self.run / SCENES / name / "checkpoints" / f"{step:08d}"
+            checkpoint.save_module(own, "network", self.bare)
+            checkpoint.drop_others(own)
+
+    def _held(self) -> int:
+        return sum(member.nbytes for member in self._loaded.values())
+
+    def _write(self, name: str, member: Member) -> None:
+        if member.steps > self._written[name]:
+            modules = {"descriptors": member.renderer.descriptors, "network": self.bare}
+            progress = Progress(step=member.steps, stage=member.stage)
+            checkpoint.save_checkpoint(member.folder, progress, modules, {"descriptors": member.states})
+            self._written[name] = member.steps

@@ -1,0 +1,182 @@
+"""A scene in training: geometry, descriptors, photographs, and what its views show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from nmbg.cameras import Camera
+from nmbg.capacity import choose_photographs
+from nmbg.model.renderer import Prepared, Renderer
+from nmbg.reconstruct.refinement import refine_geometry, views_for
+from nmbg.scene import Scene, View
+from nmbg.training import checkpoint
+from nmbg.training.artificial import ArtificialCameras
+from nmbg.training.camera_picture import camera_picture
+from nmbg.training.config import TrainConfig
+from nmbg.training.left_out import LeftOut, can_leave_out, fit_left_out
+from nmbg.training.optimiser import Part, descriptors_part
+from nmbg.training.start import ColourFit, mean_colours
+from nmbg.training.views import Example, Views, random_window
+
+PICTURED = 200  # artificial cameras in the run's picture
+
+
+class Member:
+    """A scene in training, beside its folder, which is a run folder of this one scene.
+
+    Args:
+        folder: the run folder; its photographs are read.
+        scene: the scene, with the run's geometry.
+        config: how it is trained.
+        renderer: its renderer.
+        fit: the closed-form colours that it began with, where they are at hand.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        scene: Scene,
+        config: TrainConfig,
+        renderer: Renderer,
+        fit: ColourFit | None = None,
+    ) -> None:
+        self.folder, self.scene, self.config, self.renderer = folder, scene, config, renderer
+        checkpoint.remember_photographs(folder, renderer)
+        if fit is None and can_leave_out(config):
+            fit = fit_left_out(renderer, scene)
+        self.training, self.validation = make_views(scene, config, renderer, fit)
+        self.artificial = ArtificialCameras(scene) if config.artificial_views else None
+        self.steps = 0  # that looked at it
+        self.stage = -1  # whose rates the descriptors have
+        self._parts: list[Part] = []
+
+    @staticmethod
+    def load(folder: Path, config: TrainConfig, network: nn.Module | None, at: Path) -> Member:
+        """Load a scene from its run folder, as a checkpoint of it says, but for the network."""
+        source, _ = checkpoint.load_one(folder)
+        scene = replace(Scene.load(source), mesh=Scene.load(folder / checkpoint.SCENE).mesh)
+        renderer = checkpoint.build_renderer(scene, config, network)
+        checkpoint.load_module(at, "descriptors", renderer.descriptors)
+        member = Member(folder, scene, config, renderer)
+        progress = checkpoint.load_progress(at)
+        member.steps = progress.step
+        states = checkpoint.load_optimisers(at)
+        if states.get("descriptors"):
+            for (optimiser, _), state in zip(
+                member.parts(progress.stage), states["descriptors"], strict=True
+            ):
+                optimiser.load_state_dict(state)
+        return member
+
+    def parts(self, stage: int) -> list[Part]:
+        """What trains the descriptors in a stage, its index; another stage begins anew."""
+        if stage != self.stage:
+            self.stage, self._parts = stage, descriptors_part(self.renderer, self.config.stages[stage])
+        return self._parts
+
+    @property
+    def states(self) -> list[dict[str, Any]]:
+        """States of the descriptors' optimiser, for a checkpoint."""
+        return [optimiser.state_dict() for optimiser, _ in self._parts]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory held, bytes; the optimiser's moments count as soon as there may be some."""
+        coefficients = sum(p.nbytes for p in self.renderer.descriptors.parameters())
+        geometry = sum(mesh.vertices.nbytes + mesh.faces.nbytes for mesh in self.renderer.layers)
+        return 3 * coefficients + geometry + self.training.nbytes + self.validation.nbytes
+
+    def example(self, view: int | None, step: int) -> Example:
+        """What a step looks at: a training view, or an artificial one for None."""
+        config = self.config
+        generator = torch.Generator().manual_seed(config.seed * 1_000_003 + step)
+        if view is None:
+            assert self.artificial is not None
+            camera = self.artificial.draw(generator)
+            camera, *_ = random_window(camera, config.window, config.zoom, generator)
+            # Shaded under a gradient, unlike what see() gives without photographs.
+            see = self.renderer.see if config.model.sources else self.renderer.rasterize
+            with torch.no_grad():
+                return Example("an artificial view", camera, see(camera), None, None)
+        if config.whole_frames:
+            return self.training.frame(view)
+        if config.zoom == 1 and can_leave_out(config):
+            return self.training.crop(view, config.window, 2 ** (config.model.levels - 1), generator)
+        return self.training.window(view, config.window, config.zoom, generator)
+
+
+def begin(
+    scene: Scene, config: TrainConfig, folder: Path, network: nn.Module | None
+) -> tuple[Scene, Renderer, ColourFit | None]:
+    """Write a scene's run folder up to its first checkpoint.
+
+    Args:
+        scene: the scene; only its training views are read.
+        config: how it is trained.
+        folder: to be filled.
+        network: of the run, when several scenes share it.
+
+    Returns:
+        the scene with its geometry refined, its renderer, and the closed-form colours when there are any.
+    """
+    if config.refine == "geometry":
+        scene = replace(scene, mesh=refine_geometry(scene, views=views_for(config.minutes)))
+    renderer = checkpoint.build_renderer(scene, config, network)
+    kept = choose_photographs(scene, config.photos, config.model) if config.model.sources else ()
+    checkpoint.save_scene(folder, scene, kept)
+    fit = _fit_colours(scene, config, renderer)
+    if config.start == "mean":
+        renderer.set_colours(mean_colours(renderer.layers))
+    elif fit is not None:
+        renderer.set_colours(fit.coefficients())
+    if config.artificial_views:
+        artificial, generator = ArtificialCameras(scene), torch.Generator().manual_seed(config.seed)
+        drawn = [artificial.draw(generator) for _ in range(PICTURED)]
+        (folder / "cameras.svg").write_text(camera_picture(scene, drawn))
+    return scene, renderer, fit
+
+
+def split_training(scene: Scene, config: TrainConfig) -> tuple[tuple[View, ...], tuple[View, ...]]:
+    """Training views, and those of them that are kept aside, spread evenly over the names."""
+    views = scene.train
+    aside = min(config.validation_views, len(views) - 1)
+    chosen = {round((i + 0.5) * len(views) / aside) for i in range(aside)}
+
+    def pick(which: bool) -> tuple[View, ...]:
+        return tuple(view for i, view in enumerate(views) if (i in chosen) is which)
+
+    return pick(False), pick(True)
+
+
+def _fit_colours(scene: Scene, config: TrainConfig, renderer: Renderer) -> ColourFit | None:
+    """The closed-form start. What leaves each view out anyway may use those kept aside too."""
+    if config.start != "fit":
+        return None
+    if can_leave_out(config):
+        return fit_left_out(renderer, scene)
+    return ColourFit(renderer.layers, scene, split_training(scene, config)[0], config.model.bases)
+
+
+def make_views(
+    scene: Scene, config: TrainConfig, renderer: Renderer, fit: ColourFit | None
+) -> tuple[Views, Views]:
+    """Examples of both parts of the training views."""
+
+    def rasterized(camera: Camera, view: View) -> Prepared:
+        return renderer.rasterize(camera)
+
+    see: Callable[[Camera, View], Prepared] = rasterized
+    if can_leave_out(config):
+        assert fit is not None  # ModelConfig and the presets: photographs stand on a fitted mesh
+        see = LeftOut(renderer, fit).see
+    training, aside = split_training(scene, config)
+    frames = config.whole_frames or (config.zoom == 1 and can_leave_out(config))
+    # Half of the memory is for what the loss keeps, where it keeps something.
+    cache = config.cache_gib / (2 if config.whole_frames and config.perceptual != "none" else 1)
+    return Views(scene, training, see, cache if frames else 0.0), Views(scene, aside, see, cache)
