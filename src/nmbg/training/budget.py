@@ -23,10 +23,6 @@ class Clock:
         """Seconds since the run began, pauses not counted."""
         return self.before + time.monotonic() - self._start
 
-    def agree(self, seconds: float) -> None:
-        """Put the clock forward to what another process's says, where that is further."""
-        self.before += max(0.0, seconds - self.seconds)
-
 
 class Budget:
     """How much of a run is over.

@@ -82,7 +82,7 @@ def fit(
     step, stage_index, caution = state.step, state.stage, state.caution
     skipped, in_a_row, saved = Counter(state.skipped), 0, clock.seconds
     shared: list[Part] | None = None
-    progress = budget.progress(step)
+    (progress,) = processes.largest([budget.progress(step)])
 
     def save() -> None:
         states = {"network": [optimiser.state_dict() for optimiser, _ in shared or []]}
@@ -115,10 +115,15 @@ def fit(
                 terms = losses(image, stage, perceptual, adversary, example, generator)
             with processes.others_may_end():
                 finite = differentiate(terms["loss"], parts)
-            bad, stop, due, seconds = processes.largest(
-                [not finite, bool(interrupted), clock.seconds - saved > SAVE_EVERY, clock.seconds]
+            # Clocks differ: what hangs on them is agreed on, too.
+            bad, stop, due, reached = processes.largest(
+                [
+                    not finite,
+                    bool(interrupted),
+                    clock.seconds - saved > SAVE_EVERY,
+                    budget.progress(step + 1),
+                ]
             )
-            clock.agree(seconds)
             member.steps += 1
             step, stopped = step + 1, bool(stop)
             if bad:
@@ -143,7 +148,7 @@ def fit(
                     )
 
             report = int(REPORTS * progress)
-            progress = budget.progress(step)
+            progress = reached
             bar.update(task, completed=100 * progress)
             if not bad and (int(REPORTS * progress) > report or progress >= 1):
                 figures = {name: value.item() for name, value in terms.items()}
