@@ -77,8 +77,9 @@ class PhotoCount(click.ParamType[int | str]):
 )
 @click.option(
     "--refine",
-    type=click.Choice(["geometry", "none"]),
-    help="Move the surface to where the photographs agree  [default: geometry for nmbg]",
+    type=click.Choice(["none", "geometry", "poses", "geometry,poses"]),
+    help="Move the surface, or cameras whose poses are rough, to where the photographs agree.  [default: "
+    "geometry for nmbg]",
 )
 @click.option(
     "--photos",

@@ -85,6 +85,20 @@ class Camera:
             0, 0, -(-self.width // multiple) * multiple, -(-self.height // multiple) * multiple
         )
 
+    def looking_at(self, target: Array, place: Array, up: Array) -> Camera:
+        """A camera with these intrinsics and this image size, upright.
+
+        Args:
+            target: on its optical axis, [3].
+            place: its centre, [3].
+            up: unit up axis, [3]; not along the optical axis.
+        """
+        z = (target - place) / np.linalg.norm(target - place)
+        x = np.cross(z, up)
+        x /= np.linalg.norm(x)
+        R = np.stack([x, np.cross(z, x), z])
+        return replace(self, R=R, t=-R @ place)
+
     def project(self, points: Tensor) -> Tensor:
         """Homogeneous pixel coordinates (u·z, v·z, z) of world points.
 

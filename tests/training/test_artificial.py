@@ -12,7 +12,7 @@ import trimesh
 from nmbg.cameras import Camera, foreground_sphere, up_axis
 from nmbg.mesh import Mesh
 from nmbg.scene import Scene, View
-from nmbg.training.artificial import SHELL, ArtificialCameras, looking_at
+from nmbg.training.artificial import SHELL, ArtificialCameras
 from nmbg.training.camera_picture import camera_picture
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -21,7 +21,7 @@ LIKE = Camera(K, np.eye(3), np.zeros(3), 64, 48)
 
 
 def scene(places: list[list[float]], mesh: trimesh.Trimesh, target: list[float]) -> Scene:
-    cameras = [looking_at(LIKE, np.array(place), np.array(target), UP) for place in places]
+    cameras = [LIKE.looking_at(np.array(target), np.array(place), UP) for place in places]
     views = tuple(View(f"{i}.png", camera, "train", "", None) for i, camera in enumerate(cameras))
     sphere = foreground_sphere(cameras)
     grey = np.full((len(mesh.vertices), 3), 128, np.uint8)
@@ -100,7 +100,7 @@ def test_none_stands_inside_the_geometry(ring: Scene) -> None:
     assert any(within)
     for place, inside in zip(tried, within, strict=True):
         if inside:
-            assert not artificial.admits(looking_at(LIKE, place, ring.centre, ring.up))
+            assert not artificial.admits(LIKE.looking_at(ring.centre, place, ring.up))
     for camera in drawn(crowded):
         assert not any(block.contains([camera.centre])[0] for block in blocks)
 
@@ -117,9 +117,9 @@ def test_before_a_wall_they_stand_between_the_cameras_and_look_at_the_focus(row:
 
 def test_behind_a_wall_is_refused(row: Scene) -> None:
     artificial = ArtificialCameras(row)
-    assert artificial.admits(looking_at(LIKE, np.array([0.1, 5, 0.2]), np.zeros(3), row.up))
-    assert not artificial.admits(looking_at(LIKE, np.array([0.1, -5, 0.2]), np.zeros(3), row.up))
-    assert not artificial.admits(looking_at(LIKE, np.array([0.1, 0.5, 0.2]), np.zeros(3), row.up))
+    assert artificial.admits(LIKE.looking_at(np.zeros(3), np.array([0.1, 5, 0.2]), row.up))
+    assert not artificial.admits(LIKE.looking_at(np.zeros(3), np.array([0.1, -5, 0.2]), row.up))
+    assert not artificial.admits(LIKE.looking_at(np.zeros(3), np.array([0.1, 0.5, 0.2]), row.up))
 
 
 def test_same_seed_same_cameras(ring: Scene) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -130,14 +130,13 @@ def looking_at(
     centre: Array, target: Array, focal: float, width: int, height: int, roll: float = 0.0
 ) -> Camera:
     """A camera at `centre` that looks at `target`, z up, turned by `roll` radians about its axis."""
-    forward = (target - centre) / np.linalg.norm(target - centre)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    down = np.cross(forward, right)
-    c, s = math.cos(roll), math.sin(roll)
-    R = np.stack([c * right + s * down, -s * right + c * down, forward])
     K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-    return Camera(K, R, -R @ centre, width, height)
+    upright = Camera(K, np.eye(3), np.zeros(3), width, height).looking_at(
+        target, centre, np.array([0.0, 0.0, 1.0])
+    )
+    c, s = math.cos(roll), math.sin(roll)
+    R = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) @ upright.R
+    return replace(upright, R=R, t=-R @ centre)
 
 
 def two_rings(config: CaptureConfig) -> list[Camera]:

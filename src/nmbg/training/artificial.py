@@ -8,7 +8,6 @@ cameras and look at the focus point. None stands inside or behind the geometry.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -74,7 +73,7 @@ class ArtificialCameras:
         for _ in range(TRIES):
             like = self.cameras[_integer(len(self.cameras), generator)]
             place = self._in_shell(generator) if self.ring else self._between(generator)
-            camera = looking_at(like, place, self.scene.centre, self.scene.up)
+            camera = like.looking_at(self.scene.centre, place, self.scene.up)
             if self.admits(camera):
                 return camera
         return self.cameras[_integer(len(self.cameras), generator)]
@@ -141,23 +140,6 @@ class ArtificialCameras:
                     return False
                 looked_at = True
         return looked_at
-
-
-def looking_at(like: Camera, place: Array, target: Array, up: Array) -> Camera:
-    """A camera with the intrinsics of another one, upright.
-
-    Args:
-        like: gives intrinsics and size.
-        place: its centre, [3].
-        target: on its optical axis, [3].
-        up: unit up axis, [3]; not along the optical axis.
-    """
-    z = target - place
-    z = z / np.linalg.norm(z)
-    x = np.cross(z, up)
-    x /= np.linalg.norm(x)
-    R = np.stack([x, np.cross(z, x), z])
-    return replace(like, R=R, t=-R @ place)
 
 
 def frame(up: Array) -> Array:

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 import yaml
 from safetensors import SafetensorError
@@ -28,6 +29,7 @@ from nmbg.training.config import Stage, TrainConfig
 CONFIG = "config.yaml"
 SCENE = "scene"
 SCENES = "scenes"
+POSES = "poses.json"
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,37 @@ def save_scene(run: Path, scene: Scene, views: Sequence[View]) -> None:
         if view.mask is not None:
             shutil.copyfile(scene.folder / "masks" / view.mask, folder / "masks" / view.mask)
     replace(scene, views=tuple(views)).save(folder)
+
+
+def save_poses(run: Path, scene: Scene) -> None:
+    """Write poses.json: the training views' poses, where a run has refined them."""
+    poses = {v.name: {"R": v.camera.R.tolist(), "t": v.camera.t.tolist()} for v in scene.train}
+    with atomic_file(run / POSES) as path:
+        path.write_text(json.dumps(poses, indent=1) + "\n")
+
+
+def load_poses(run: Path, scene: Scene) -> Scene:
+    """A scene with the poses that a run refined, or as it is.
+
+    Raises:
+        NmbgError: the file is damaged, or belongs to another scene.
+    """
+    path = run / POSES
+    if not path.exists():
+        return scene
+    try:
+        poses = {
+            name: (np.array(pose["R"]).reshape(3, 3), np.array(pose["t"]).reshape(3))
+            for name, pose in json.loads(path.read_text()).items()
+        }
+        moved = {
+            view.name: replace(view.camera, R=poses[view.name][0], t=poses[view.name][1])
+            for view in scene.train
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise NmbgError(f"{path}: damaged, or of another scene; train the run anew") from error
+    views = tuple(replace(view, camera=moved.get(view.name, view.camera)) for view in scene.views)
+    return replace(scene, views=views)
 
 
 def load_config(run: Path) -> tuple[dict[str, Path], TrainConfig]:

@@ -9,6 +9,7 @@ from typing import Literal
 from nmbg.model.config import ModelConfig
 
 Start = Literal["zeros", "mean", "fit"]
+Refine = Literal["none", "geometry", "poses", "geometry,poses"]
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,8 @@ class TrainConfig:
         artificial_views: share of the steps that look at views without a photograph, for L_GAN alone, in
             [0, 1).
         validation_views: training views kept aside for progress figures.
-        refine: move the surface to where the photographs agree before anything else: "geometry" or "none".
+        refine: what is moved to where the photographs agree before anything else: "none", or "geometry" (the
+            surface), "poses" (the training cameras) or "geometry,poses".
         photos: training photographs kept in the run: how many at most, "auto" or "all".
         seed: seeds weights, the order of views and the random windows.
         device: "cpu" or "cuda".
@@ -74,7 +76,7 @@ class TrainConfig:
     minutes: float | None = None
     artificial_views: float = 0.0
     validation_views: int = 2
-    refine: Literal["geometry", "none"] = "none"
+    refine: Refine = "none"
     photos: int | Literal["auto", "all"] = "all"
     seed: int = 0
     device: str = "cpu"

@@ -13,6 +13,7 @@ from torch import nn
 from nmbg.cameras import Camera
 from nmbg.capacity import choose_photographs
 from nmbg.model.renderer import Prepared, Renderer
+from nmbg.reconstruct.poses import refine_poses
 from nmbg.reconstruct.refinement import refine_geometry, views_for
 from nmbg.scene import Scene, View
 from nmbg.training import checkpoint
@@ -60,7 +61,8 @@ class Member:
     def load(folder: Path, config: TrainConfig, network: nn.Module | None, at: Path) -> Member:
         """Load a scene from its run folder, as a checkpoint of it says, but for the network."""
         source, _ = checkpoint.load_one(folder)
-        scene = replace(Scene.load(source), mesh=Scene.load(folder / checkpoint.SCENE).mesh)
+        mesh = Scene.load(folder / checkpoint.SCENE).mesh
+        scene = replace(checkpoint.load_poses(folder, Scene.load(source)), mesh=mesh)
         renderer = checkpoint.build_renderer(scene, config, network)
         checkpoint.load_module(at, "descriptors", renderer.descriptors)
         member = Member(folder, scene, config, renderer)
@@ -123,9 +125,12 @@ def begin(
         network: of the run, when several scenes share it.
 
     Returns:
-        the scene with its geometry refined, its renderer, and the closed-form colours when there are any.
+        the scene as it was refined, its renderer, and the closed-form colours when there are any.
     """
-    if config.refine == "geometry":
+    if "poses" in config.refine:
+        scene = refine_poses(scene)
+        checkpoint.save_poses(folder, scene)
+    if "geometry" in config.refine:
         scene = replace(scene, mesh=refine_geometry(scene, views=views_for(config.minutes)))
     renderer = checkpoint.build_renderer(scene, config, network)
     kept = choose_photographs(scene, config.photos, config.model) if config.model.sources else ()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 
 import torch
 from torch import Tensor
@@ -37,6 +38,7 @@ class ColourFit:
         bases: (degree + 1)².
         folds: how many.
         ridge: for degree 0 and for degrees ≥ 1.
+        quiet: show no progress bar: another one stands around it.
     """
 
     def __init__(
@@ -47,12 +49,13 @@ class ColourFit:
         bases: int,
         folds: int = 1,
         ridge: tuple[float, float] = RIDGE,
+        quiet: bool = False,
     ) -> None:
         self.layers, self.scene, self.bases, self.folds, self.ridge = layers, scene, bases, folds, ridge
         self._fold = {view.name: i % folds for i, view in enumerate(views)}
         self._sums = [torch.zeros(folds, len(mesh.vertices), bases, bases + 3) for mesh in layers]
-        with progress_bar() as bar:
-            for view in bar.track(views, description="fitting colours"):
+        with nullcontext() if quiet else progress_bar() as bar:
+            for view in views if bar is None else bar.track(views, description="fitting colours"):
                 for sums, mesh in zip(self._sums, layers, strict=True):
                     vertices, observed = self._observe(mesh, view)
                     sums[self.fold_of(view)].index_add_(0, vertices, observed)
