@@ -1,96 +1,89 @@
-"""What each rung of the ladder adds: presets trained for equal time on one scene, judged on held-out views.
+"""What each rung of the ladder adds: presets trained for equal time, judged on held-out views.
 
 Example:
-    python benchmarks/ladder.py out/fox --minutes 3 --weights ~/weights --output out/ladder
+    python benchmarks/ladder.py out/fox out/bonsai --minutes 3 --seeds 3 1 --weights DIR --output out/ladder
 
-Finished rungs are kept: run it again and it goes on where it stopped.
+Of each scene so many seeds. Finished runs are kept: run it again and it goes on where it stopped. `--quick` takes
+20 seconds a rung and one seed.
 """
 
 from __future__ import annotations
 
-import json
 import os
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
 from record import command, provenance, write
+from sweep import Job, Sweep, spread, trained_for
 
-from nmbg.evaluation.evaluate import evaluate
-from nmbg.scene import Scene
-from nmbg.training.checkpoint import latest_checkpoint, load_progress, load_run
-from nmbg.training.config import PRESETS, VGG_TO_RELU3
-from nmbg.training.trainer import train
+RUNGS = (
+    *("npbg", "npbg-radius", "npbg-mesh", "directional", "split", "adversarial", "paper"),
+    *("colours", "mesh", "photos", "nmbg"),
+)
 
 
 @click.command()
-@click.argument("scene", type=click.Path(path_type=Path))
+@click.argument("scenes", type=click.Path(path_type=Path), nargs=-1, required=True)
 @click.option("--minutes", type=float, default=3.0, show_default=True, help="Training time of each rung.")
+@click.option("--seeds", default="1", show_default=True, help="How many, per scene, separated by commas.")
+@click.option("--rungs", default=",".join(RUNGS), show_default=True, help="Presets, separated by commas.")
+@click.option("--quick", is_flag=True, help="20 seconds a rung, one seed.")
 @click.option(
     "--weights", type=click.Path(path_type=Path), required=True, help="Folder of pretrained weights."
 )
-@click.option("--lpips-net", default="squeeze", show_default=True)
 @click.option(
     "--output", type=click.Path(path_type=Path), required=True, help="Folder for runs, JSON and table."
 )
-@click.option("--presets", default=",".join(PRESETS), show_default=True, help="Rungs, separated by commas.")
-@click.option("--bf16/--no-bf16", default=True, show_default=True)
 def main(
-    scene: Path, minutes: float, weights: Path, lpips_net: str, output: Path, presets: str, bf16: bool
+    scenes: tuple[Path, ...],
+    minutes: float,
+    seeds: str,
+    rungs: str,
+    quick: bool,
+    weights: Path,
+    output: Path,
 ) -> None:
-    """Train and judge every rung; write ladder.json and ladder.md."""
-    results_path = output / "ladder.json"
-    new = {"command": command(), "scene": scene.name, "minutes": minutes, **provenance(), "rungs": {}}
-    results = json.loads(results_path.read_text()) if results_path.exists() else new
-    for name in presets.split(","):
-        if name in results["rungs"]:
-            continue
-        run = output / name
-        budget = None if name == "colours" else minutes
-        perceptual = "none" if PRESETS[name].perceptual == "none" else VGG_TO_RELU3
-        config = replace(
-            PRESETS[name], minutes=budget, epochs=None, iterations=None, perceptual=perceptual, bf16=bf16
-        )
-        train(Scene.load(scene), config, run, weights, overwrite=True)
-        results["rungs"][name] = _judge(run, weights, lpips_net)
-        write(output, "ladder", results, _table(results))
+    """Train and judge every rung on every scene; write ladder.json and ladder.md."""
+    minutes = 1 / 3 if quick else minutes
+    counts = [1 if quick else int(count) for count in seeds.split(",")]
+    counts += counts[-1:] * (len(scenes) - len(counts))
+    sweep = Sweep(output, weights)
+    results: dict[str, Any] = {"command": command(), "minutes": minutes, **provenance(), "scenes": {}}
+    jobs = [
+        Job(scene, trained_for(rung, minutes, seed))
+        for scene, count in zip(scenes, counts, strict=True)
+        for rung in rungs.split(",")
+        for seed in range(count)
+    ]
+    for job, record in zip(jobs, sweep.measure(jobs), strict=True):
+        rows = results["scenes"].setdefault(job.scene.name, {})
+        rows.setdefault(job.config.preset, []).append(record)
+    write(output, "ladder", results, _table(results))
     click.echo(_table(results))
 
 
-def _judge(run: Path, weights: Path, lpips_net: str) -> dict[str, float]:
-    """Held-out and training metrics of a finished run."""
-    metrics = evaluate(run, ["psnr", "ssim", "lpips"], lpips_net=lpips_net, weights=weights)
-    training = evaluate(run, ["psnr"], split="train")
-    checkpoint = latest_checkpoint(run)
-    assert checkpoint is not None
-    loaded = load_run(run)
-    network = loaded.renderer.network
-    return {
-        **metrics.mean,
-        "train_psnr": training.mean["psnr"],
-        "seconds_per_frame": metrics.seconds_per_frame,
-        "steps": load_progress(checkpoint).step,
-        "network_parameters": 0 if network is None else sum(p.numel() for p in network.parameters()),
-    }
-
-
-def _table(results: dict[str, object]) -> str:
-    rungs = results["rungs"]
-    assert isinstance(rungs, dict)
-    lpips = next((key for row in rungs.values() for key in row if key.startswith("lpips")), "lpips")
+def _table(results: dict[str, Any]) -> str:
     lines = [
-        f"Scene {results['scene']}, {results['minutes']:g} minutes a rung, {results['machine']}.",
-        "",
-        f"| preset | PSNR | SSIM | {lpips} | PSNR, training | steps | ms / frame | network parameters |",
-        "|---|---|---|---|---|---|---|---|",
+        f"Held-out views after {results['minutes']:.3g} minutes a rung; mean ± half the range of the seeds. "
+        f"{results['machine']['cpu']}, {results['machine']['threads']} threads."
     ]
-    for name, row in rungs.items():
-        lines.append(
-            f"| {name} | {row['psnr']:.2f} | {row['ssim']:.3f} | {row[lpips]:.3f} | {row['train_psnr']:.2f} "
-            f"| {row['steps']} | {1000 * row['seconds_per_frame']:.0f} | {row['network_parameters']:,} |"
-        )
+    for scene, rows in results["scenes"].items():
+        lines += [
+            "",
+            f"**{scene}**",
+            "",
+            "| preset | seeds | PSNR | SSIM | SSIM (SVS) | LPIPS | PSNR, training | steps | ms / frame |",
+            "|---|---|---|---|---|---|---|---|---|",
+        ]
+        for rung, records in rows.items():
+            lpips = next(key for key in records[0]["figures"] if key.startswith("lpips"))
+            figures = (("psnr", 2), ("ssim", 3), ("ssim_svs", 3), (lpips, 3), ("train_psnr", 2), ("steps", 0))
+            cells = [spread(records, name, digits) for name, digits in figures]
+            frame = 1000 * min(record["figures"]["seconds_per_frame"] for record in records)
+            lines.append(f"| {rung} | {len(records)} | {' | '.join(cells)} | {frame:.0f} |")
     return "\n".join(lines) + "\n"
 
 

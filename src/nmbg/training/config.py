@@ -103,6 +103,11 @@ class TrainConfig:
 
 
 NETWORK = (16, 32, 64, 128, 256)
+# The paper's λ is 1 beside an L_rec whose images are scaled by 255; here they are divided by ImageNet's
+# deviation, 0.226 on average, and L_rec is smaller by 255 · 0.226.
+ADVERSARIAL = 1 / 57.6
+# Share of steps at artificial views; the paper does not state it.
+ARTIFICIAL_VIEWS = 0.25
 VGG_TO_RELU3 = "vgg19:relu1_2,relu2_2,relu3_1"
 
 # The ladder is trained alike, so that a rung differs from the one before by what its name says.
@@ -137,6 +142,11 @@ PRESETS: dict[str, TrainConfig] = {
         _rung("npbg-mesh", _mesh),
         _rung("directional", _directional),
         _rung("split", _split),
+        replace(
+            _rung("adversarial", _split),
+            stages=tuple(replace(stage, adversarial=ADVERSARIAL) for stage in _ladder_stages),
+            artificial_views=ARTIFICIAL_VIEWS,
+        ),
         TrainConfig(
             "paper",
             _split,
@@ -146,7 +156,7 @@ PRESETS: dict[str, TrainConfig] = {
                     network=True,
                     perceptual=1.0,
                     l1=0.0,
-                    adversarial=1.0,
+                    adversarial=ADVERSARIAL,
                     descriptor_rate=0.1,
                     network_rate=1e-4,
                     decay=False,
@@ -156,7 +166,7 @@ PRESETS: dict[str, TrainConfig] = {
             perceptual="vgg19",
             zoom=2.0,
             window=0.5,
-            artificial_views=0.25,
+            artificial_views=ARTIFICIAL_VIEWS,
             epochs=100,
         ),
         TrainConfig(

@@ -1,0 +1,100 @@
+"""Held-out PSNR and LPIPS against seconds of training, for several presets.
+
+Example:
+    python benchmarks/convergence.py out/fox out/bonsai --weights DIR --output out/convergence
+
+Each point is a run of its own with that budget, so that its rates have decayed; `photos` needs no training.
+Finished runs are kept. `--quick` stops at one minute.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
+
+import click
+from record import command, provenance, write
+from sweep import Job, Sweep, trained_for
+
+SHOWN = ("mesh", "photos", "paper", "nmbg")
+WANTED = (24, 26, 28, 30)
+
+
+@click.command()
+@click.argument("scenes", type=click.Path(path_type=Path), nargs=-1, required=True)
+@click.option("--minutes", default="0.5,1,2,4", show_default=True, help="Budgets, separated by commas.")
+@click.option("--presets", default=",".join(SHOWN), show_default=True, help="Separated by commas.")
+@click.option("--quick", is_flag=True, help="Half a minute and one minute.")
+@click.option(
+    "--weights", type=click.Path(path_type=Path), required=True, help="Folder of pretrained weights."
+)
+@click.option(
+    "--output", type=click.Path(path_type=Path), required=True, help="Folder for runs, JSON and picture."
+)
+def main(
+    scenes: tuple[Path, ...], minutes: str, presets: str, quick: bool, weights: Path, output: Path
+) -> None:
+    """Train and judge every preset at every budget; write convergence.json, .md and .svg."""
+    budgets = [0.5, 1.0] if quick else [float(part) for part in minutes.split(",")]
+    jobs = [
+        Job(scene, trained_for(preset, budget))
+        for scene in scenes
+        for preset in presets.split(",")
+        for budget in (budgets if preset != "photos" else budgets[:1])
+    ]
+    curves: dict[str, dict[str, list[dict[str, float]]]] = {}
+    for job, record in zip(jobs, Sweep(output, weights).measure(jobs, split=False), strict=True):
+        figures = record["figures"]
+        point = {key: figures[key] for key in ("seconds", "steps", "psnr", "ssim", "lpips_squeeze")}
+        curves.setdefault(job.scene.name, {}).setdefault(job.config.preset, []).append(point)
+    results = {"command": command(), **provenance(), "curves": curves}
+    write(output, "convergence", results, _table(curves))
+    _draw(curves, output / "convergence.svg")
+    click.echo(_table(curves))
+
+
+def _table(curves: dict[str, dict[str, list[dict[str, float]]]]) -> str:
+    lines = [
+        "PSNR / LPIPS-Squeeze of held-out views (seconds until the run is written), then the first of these runs "
+        "that reaches a PSNR, seconds.",
+        "",
+        f"| scene | preset | runs | {' | '.join(f'{wanted} dB' for wanted in WANTED)} |",
+        "|---|---|---|" + "---|" * len(WANTED),
+    ]
+    for scene, presets in curves.items():
+        for preset, points in presets.items():
+            shown = ", ".join(
+                f"{p['psnr']:.2f} / {p['lpips_squeeze']:.3f} ({p['seconds']:.0f})" for p in points
+            )
+            reached = [
+                min((p["seconds"] for p in points if p["psnr"] >= wanted), default=None) for wanted in WANTED
+            ]
+            cells = ["–" if seconds is None else f"{seconds:.0f}" for seconds in reached]
+            lines.append(f"| {scene} | {preset} | {shown} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _draw(curves: dict[str, Any], path: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("svg")
+    from matplotlib import pyplot
+
+    figure, axes = pyplot.subplots(2, len(curves), figsize=(4 * len(curves), 6), squeeze=False)
+    for column, (scene, presets) in enumerate(curves.items()):
+        for row, (metric, name) in enumerate((("psnr", "PSNR, dB"), ("lpips_squeeze", "LPIPS"))):
+            axis = axes[row][column]
+            for preset, points in presets.items():
+                axis.plot([p["seconds"] for p in points], [p[metric] for p in points], "o-", label=preset)
+            axis.set(xscale="log", xlabel="seconds", ylabel=name, title=scene if row == 0 else None)
+            axis.grid(alpha=0.3)
+    axes[0][0].legend()
+    figure.tight_layout()
+    figure.savefig(path)
+
+
+if __name__ == "__main__":
+    main()
