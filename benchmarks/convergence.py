@@ -58,8 +58,8 @@ def main(
 
 def _table(curves: dict[str, dict[str, list[dict[str, float]]]]) -> str:
     lines = [
-        "PSNR / LPIPS-Squeeze of held-out views (seconds until the run is written), then the first of these runs "
-        "that reaches a PSNR, seconds.",
+        "PSNR / LPIPS-Squeeze of held-out views (seconds until the run is written); then the seconds of the",
+        "shortest of these runs that reaches a PSNR.",
         "",
         f"| scene | preset | runs | {' | '.join(f'{wanted} dB' for wanted in WANTED)} |",
         "|---|---|---|" + "---|" * len(WANTED),
@@ -78,12 +78,12 @@ def _table(curves: dict[str, dict[str, list[dict[str, float]]]]) -> str:
 
 
 def _draw(curves: dict[str, Any], path: Path) -> None:
-    import matplotlib
+    import matplotlib as mpl
 
-    matplotlib.use("svg")
-    from matplotlib import pyplot
+    mpl.use("svg")
+    from matplotlib import pyplot as plt
 
-    figure, axes = pyplot.subplots(2, len(curves), figsize=(4 * len(curves), 6), squeeze=False)
+    figure, axes = plt.subplots(2, len(curves), figsize=(4 * len(curves), 6), squeeze=False)
     for column, (scene, presets) in enumerate(curves.items()):
         for row, (metric, name) in enumerate((("psnr", "PSNR, dB"), ("lpips_squeeze", "LPIPS"))):
             axis = axes[row][column]

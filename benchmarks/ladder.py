@@ -1,10 +1,10 @@
 """What each rung of the ladder adds: presets trained for equal time, judged on held-out views.
 
 Example:
-    python benchmarks/ladder.py out/fox out/bonsai --minutes 3 --seeds 3 1 --weights DIR --output out/ladder
+    python benchmarks/ladder.py out/fox out/bonsai --minutes 3 --seeds 3,1 --weights DIR --output out/ladder
 
-Of each scene so many seeds. Finished runs are kept: run it again and it goes on where it stopped. `--quick` takes
-20 seconds a rung and one seed.
+Of each scene so many seeds. Finished runs are kept: run it again and it goes on where it stopped. `--quick`
+takes 20 seconds a rung and one seed.
 """
 
 from __future__ import annotations

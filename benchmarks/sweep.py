@@ -66,9 +66,7 @@ class Sweep:
         """
         missing = [job for job in jobs if not self._path(job).exists()]
         minutes = sum(job.config.minutes or 0 for job in missing)
-        click.echo(
-            f"{len(jobs) - len(missing)} of {len(jobs)} runs are there; the others train for {minutes:g} minutes"
-        )
+        click.echo(f"{len(jobs) - len(missing)} of {len(jobs)} runs are there; training: {minutes:g} minutes")
         for job in missing:
             click.echo(job.key)
             self._run(job, split)

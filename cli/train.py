@@ -76,6 +76,11 @@ class PhotoCount(click.ParamType[int | str]):
     "--validation-views", type=click.IntRange(min=0), help="Training views kept aside for progress figures."
 )
 @click.option(
+    "--inspect/--no-inspect",
+    default=None,
+    help="Leave out photographs that are black, of something else or wildly misplaced.  [default: inspect]",
+)
+@click.option(
     "--refine",
     type=click.Choice(["none", "geometry", "poses", "geometry,poses"]),
     help="Move the surface, or cameras whose poses are rough, to where the photographs agree.  [default: "

@@ -122,15 +122,15 @@ def _shift(a: Camera, b: Camera, point: np.ndarray) -> float:
 def test_poses_of_a_run_are_kept(scene_folder: Path, tmp_path: Path) -> None:
     scene = Scene.load(scene_folder)
     views = tuple(replace(v, camera=moved(v.camera, np.full(6, 0.01))) for v in scene.views)
-    checkpoint.save_poses(tmp_path, replace(scene, views=views))
-    found = checkpoint.load_poses(tmp_path, scene)
+    checkpoint.save_views(tmp_path, replace(scene, views=views), {})
+    found = checkpoint.load_views(tmp_path, scene)
     for view, old, new in zip(found.views, scene.views, views, strict=True):
         wanted = new if view.split == "train" else old
         np.testing.assert_allclose(view.camera.projection, wanted.camera.projection, atol=1e-12)
 
 
-@pytest.mark.parametrize("content", ["", "[]", "{}", '{"a": 1}'])
-def test_damaged_poses_are_named(scene_folder: Path, tmp_path: Path, content: str) -> None:
-    (tmp_path / "poses.json").write_text(content)
-    with pytest.raises(NmbgError, match=r"poses\.json"):
-        checkpoint.load_poses(tmp_path, Scene.load(scene_folder))
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"left_out": {}, "poses": {}}'])
+def test_damaged_views_are_named(scene_folder: Path, tmp_path: Path, content: str) -> None:
+    (tmp_path / "views.json").write_text(content)
+    with pytest.raises(NmbgError, match=r"views\.json"):
+        checkpoint.load_views(tmp_path, Scene.load(scene_folder))

@@ -24,7 +24,7 @@ from nmbg.evaluation.metrics import Metric, make_metrics
 from nmbg.images import Image, write_image
 from nmbg.progress import progress_bar
 from nmbg.scene import Scene, Split, View
-from nmbg.training.checkpoint import Run, load_poses, load_run
+from nmbg.training.checkpoint import Run, load_run, load_views
 from nmbg.training.left_out import LeftOut, can_leave_out, fit_left_out
 
 SHEET_ROWS = 16
@@ -90,7 +90,7 @@ def evaluate(
         NmbgError: the run, its scene or the weights are not usable, or a view is not finite.
     """
     run = load_run(run_folder, device)
-    scene = load_poses(run_folder, Scene.load(run.source))
+    scene = load_views(run_folder, Scene.load(run.source))
     views = scene.test if split == "test" else scene.train
     measures = make_metrics(metrics, lpips_net, weights, torch.device(device))
     _check(scene, views, measures, split)

@@ -29,7 +29,7 @@ from nmbg.training.config import Stage, TrainConfig
 CONFIG = "config.yaml"
 SCENE = "scene"
 SCENES = "scenes"
-POSES = "poses.json"
+VIEWS = "views.json"
 
 
 @dataclass(frozen=True)
@@ -123,35 +123,36 @@ def save_scene(run: Path, scene: Scene, views: Sequence[View]) -> None:
     replace(scene, views=tuple(views)).save(folder)
 
 
-def save_poses(run: Path, scene: Scene) -> None:
-    """Write poses.json: the training views' poses, where a run has refined them."""
+def save_views(run: Path, scene: Scene, left_out: Mapping[str, str]) -> None:
+    """Write views.json: where the training views stand in the run, which it leaves out, and why."""
     poses = {v.name: {"R": v.camera.R.tolist(), "t": v.camera.t.tolist()} for v in scene.train}
-    with atomic_file(run / POSES) as path:
-        path.write_text(json.dumps(poses, indent=1) + "\n")
+    with atomic_file(run / VIEWS) as path:
+        path.write_text(json.dumps({"left_out": dict(left_out), "poses": poses}, indent=1) + "\n")
 
 
-def load_poses(run: Path, scene: Scene) -> Scene:
-    """A scene with the poses that a run refined, or as it is.
+def load_views(run: Path, scene: Scene) -> Scene:
+    """A scene with the training views that a run has, at their places in the run.
 
     Raises:
-        NmbgError: the file is damaged, or belongs to another scene.
+        NmbgError: the file is missing or damaged, or belongs to another scene.
     """
-    path = run / POSES
-    if not path.exists():
-        return scene
+    path = run / VIEWS
     try:
+        content = json.loads(path.read_text())
         poses = {
             name: (np.array(pose["R"]).reshape(3, 3), np.array(pose["t"]).reshape(3))
-            for name, pose in json.loads(path.read_text()).items()
+            for name, pose in content["poses"].items()
         }
-        moved = {
-            view.name: replace(view.camera, R=poses[view.name][0], t=poses[view.name][1])
-            for view in scene.train
-        }
+        views = []
+        for view in scene.views:
+            if view.split == "train" and view.name not in content["left_out"]:
+                R, t = poses[view.name]
+                views.append(replace(view, camera=replace(view.camera, R=R, t=t)))
+            elif view.split == "test":
+                views.append(view)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise NmbgError(f"{path}: damaged, or of another scene; train the run anew") from error
-    views = tuple(replace(view, camera=moved.get(view.name, view.camera)) for view in scene.views)
-    return replace(scene, views=views)
+    return replace(scene, views=tuple(views))
 
 
 def load_config(run: Path) -> tuple[dict[str, Path], TrainConfig]:

@@ -55,6 +55,7 @@ class TrainConfig:
         artificial_views: share of the steps that look at views without a photograph, for L_GAN alone, in
             [0, 1).
         validation_views: training views kept aside for progress figures.
+        inspect: leave out training views that cannot be right (`nmbg.training.inspection`).
         refine: what is moved to where the photographs agree before anything else: "none", or "geometry" (the
             surface), "poses" (the training cameras) or "geometry,poses".
         photos: training photographs kept in the run: how many at most, "auto" or "all".
@@ -76,6 +77,7 @@ class TrainConfig:
     minutes: float | None = None
     artificial_views: float = 0.0
     validation_views: int = 2
+    inspect: bool = True
     refine: Refine = "none"
     photos: int | Literal["auto", "all"] = "all"
     seed: int = 0

@@ -140,7 +140,6 @@ class _Company:
         run: run folder.
         names: of the scenes of this process.
         counts: their training views.
-        length: steps of the longest pass of a process.
         smallest: least width and height of a view of any scene.
         config: how they are trained.
         scenes: folders of this process's scenes.
@@ -151,12 +150,11 @@ class _Company:
         run: Path,
         scenes: Mapping[str, Path],
         counts: list[int],
-        length: int,
         smallest: tuple[int, int],
         config: TrainConfig,
     ) -> None:
         self.run, self.scenes, self.names, self.config = run, scenes, list(scenes), config
-        self.counts, self.length, self.smallest = counts, length, smallest
+        self.counts, self.length, self.smallest = counts, 0, smallest
         torch.manual_seed(config.seed)
         network = make_network(config.model)
         assert network is not None  # _check
@@ -174,7 +172,6 @@ class _Company:
             scene = Scene.load(folder)
             counts.append(len(split_training(scene, config)[0]))
             sizes.append(smallest_view(scene))
-        steps = [count + extra_steps(count, config.artificial_views) for count in counts]
         dealt = shard(counts, processes.size())
         mine, names = dealt[processes.rank()], list(scenes)
         width, height = (min(side) for side in zip(*sizes, strict=True))
@@ -182,14 +179,19 @@ class _Company:
             run,
             {names[i]: scenes[names[i]] for i in mine},
             [counts[i] for i in mine],
-            max(sum(steps[i] for i in part) for part in dealt),
             (width, height),
             config,
         )
 
     def share(self) -> None:
-        """From now on the network's gradients are averaged over the processes."""
+        """From now on the network's gradients are averaged; the scenes' folders are complete."""
         self.network = processes.shared(self.bare)
+        for i, (name, folder) in enumerate(self.scenes.items()):
+            scene = checkpoint.load_views(self.run / SCENES / name, Scene.load(folder))
+            self.counts[i] = len(split_training(scene, self.config)[0])
+        share = self.config.artificial_views
+        (length,) = processes.largest([sum(count + extra_steps(count, share) for count in self.counts)])
+        self.length = int(length)
         self._written = dict(self.steps)
 
     def begin(self, run: Path) -> None:

@@ -13,6 +13,7 @@ from torch import nn
 from nmbg.cameras import Camera
 from nmbg.capacity import choose_photographs
 from nmbg.model.renderer import Prepared, Renderer
+from nmbg.progress import console
 from nmbg.reconstruct.poses import refine_poses
 from nmbg.reconstruct.refinement import refine_geometry, views_for
 from nmbg.scene import Scene, View
@@ -20,6 +21,7 @@ from nmbg.training import checkpoint
 from nmbg.training.artificial import ArtificialCameras
 from nmbg.training.camera_picture import camera_picture
 from nmbg.training.config import TrainConfig
+from nmbg.training.inspection import doubtful, without
 from nmbg.training.left_out import LeftOut, can_leave_out, fit_left_out
 from nmbg.training.optimiser import Part, descriptors_part
 from nmbg.training.start import ColourFit, mean_colours
@@ -62,7 +64,7 @@ class Member:
         """Load a scene from its run folder, as a checkpoint of it says, but for the network."""
         source, _ = checkpoint.load_one(folder)
         mesh = Scene.load(folder / checkpoint.SCENE).mesh
-        scene = replace(checkpoint.load_poses(folder, Scene.load(source)), mesh=mesh)
+        scene = replace(checkpoint.load_views(folder, Scene.load(source)), mesh=mesh)
         renderer = checkpoint.build_renderer(scene, config, network)
         checkpoint.load_module(at, "descriptors", renderer.descriptors)
         member = Member(folder, scene, config, renderer)
@@ -125,11 +127,16 @@ def begin(
         network: of the run, when several scenes share it.
 
     Returns:
-        the scene as it was refined, its renderer, and the closed-form colours when there are any.
+        the scene without doubtful views and as it was refined, its renderer, and the closed-form colours when
+        there are any.
     """
+    left_out = doubtful(scene) if config.inspect else {}
+    for name, why in left_out.items():
+        console.print(f"{name} is left out: {why}")
+    scene = without(scene, left_out)
     if "poses" in config.refine:
         scene = refine_poses(scene)
-        checkpoint.save_poses(folder, scene)
+    checkpoint.save_views(folder, scene, left_out)
     if "geometry" in config.refine:
         scene = replace(scene, mesh=refine_geometry(scene, views=views_for(config.minutes)))
     renderer = checkpoint.build_renderer(scene, config, network)
