@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +21,9 @@ from nmbg.cli.options import (
 )
 from nmbg.errors import NmbgError
 from nmbg.training.config import PRESETS, TrainConfig
+
+# Of a preset that says nothing itself.
+MINUTES = 15.0
 
 
 class PhotoCount(click.ParamType[int | str]):
@@ -51,7 +56,9 @@ class PhotoCount(click.ParamType[int | str]):
     "--preset", type=click.Choice(list(PRESETS)), default="nmbg", show_default=True, help="What to train."
 )
 @click.option(
-    "--minutes", type=click.FloatRange(min=0, min_open=True), help="Budget in minutes of wall-clock time."
+    "--minutes",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Budget in minutes of wall-clock time.  [default: 15; preset paper 100 epochs, several scenes 15]",
 )
 @click.option("--iterations", type=click.IntRange(min=0), help="Budget in steps.")
 @click.option("--epochs", type=click.IntRange(min=0), help="Budget in passes over the training views.")
@@ -74,6 +81,11 @@ class PhotoCount(click.ParamType[int | str]):
 )
 @click.option(
     "--validation-views", type=click.IntRange(min=0), help="Training views kept aside for progress figures."
+)
+@click.option(
+    "--exposure/--no-exposure",
+    default=None,
+    help="Tell exposures apart from what is photographed; for presets that blend no photographs.",
 )
 @click.option(
     "--inspect/--no-inspect",
@@ -142,9 +154,10 @@ def _train(scenes: tuple[Path, ...], config: TrainConfig, output: Path, *options
     from nmbg.training.full import train_together
     from nmbg.training.trainer import train
 
-    if len(scenes) == processes.size() == 1:
-        return train(Scene.load(scenes[0]), config, output, *options)
-    return train_together(scenes, config, output, *options)
+    with _memory_named(config):
+        if len(scenes) == processes.size() == 1:
+            return train(Scene.load(scenes[0]), config, output, *options)
+        return train_together(scenes, config, output, *options)
 
 
 def _resume(output: Path, weights: Path | None) -> Path:
@@ -152,10 +165,34 @@ def _resume(output: Path, weights: Path | None) -> Path:
     from nmbg.training.full import resume_together
     from nmbg.training.trainer import resume
 
-    scenes, _ = checkpoint.load_config(output)
-    if len(scenes) == processes.size() == 1:
-        return resume(output, weights)
-    return resume_together(output, weights)
+    scenes, config = checkpoint.load_config(output)
+    with _memory_named(config):
+        if len(scenes) == processes.size() == 1:
+            return resume(output, weights)
+        return resume_together(output, weights)
+
+
+@contextmanager
+def _memory_named(config: TrainConfig) -> Iterator[None]:
+    """Say in one line that memory ran out, and which options need less.
+
+    Raises:
+        NmbgError: memory ran out.
+    """
+    import torch
+
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        told = (str(error).splitlines() or [""])[0]
+        if not isinstance(error, MemoryError | torch.OutOfMemoryError) and "allocate memory" not in told:
+            raise
+        half = config.cache_gib / 2
+        advice = [f"--cache {half:g} holds {half:g} GiB less"] if half else []
+        if config.model.widths:
+            advice.append(f"--window {config.window / 2:.3g} makes a step a quarter as large")
+        advice.append("nmbg preprocess --max-size with half the pixels a side makes everything a quarter")
+        raise NmbgError(f"out of memory ({told or 'no more was given'}); {', '.join(advice)}") from error
 
 
 def _config(preset: str, device: str, options: dict[str, Any], scenes: int) -> TrainConfig:
@@ -167,6 +204,8 @@ def _config(preset: str, device: str, options: dict[str, Any], scenes: int) -> T
         given = {"minutes": None, "iterations": None, "epochs": None, **given}
     elif scenes > 1:
         given |= {"minutes": None, "iterations": None, "epochs": EPOCHS}
+    elif PRESETS[preset].stages and PRESETS[preset].epochs is None:
+        given["minutes"] = MINUTES
     given.setdefault("bf16", _has_bf16(device))
     if given.get("perceptual", "none") != "none" and not any(s.perceptual for s in PRESETS[preset].stages):
         raise NmbgError(f"--perceptual: preset {preset} trains without L_rec; leave it out")

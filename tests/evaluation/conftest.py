@@ -77,6 +77,7 @@ def make_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., S
             config=PRESETS["mesh"],
         )
         monkeypatch.setattr("nmbg.evaluation.evaluate.load_run", lambda folder, device: run)
+        monkeypatch.setattr("nmbg.evaluation.evaluate.load_views", lambda folder, scene: scene)
         monkeypatch.setattr(Scene, "load", lambda folder: made)
         return run
 

@@ -4,7 +4,14 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nmbg.model.exposure import Exposure, fit_exposure, mean_exposure, neighbours
+from nmbg.model.exposure import (
+    UNCHANGED,
+    Exposure,
+    Exposures,
+    fit_exposure,
+    mean_exposure,
+    neighbours,
+)
 
 GAIN = torch.tensor([0.93, 1.0, 1.06])[:, None, None]
 OFFSET = torch.tensor([0.02, -0.01, 0.0])[:, None, None]
@@ -87,3 +94,24 @@ def test_the_mean_of_no_exposure_changes_nothing() -> None:
     assert torch.equal(mean_exposure([], []).apply(image()), image())
     both = mean_exposure([Exposure(GAIN, OFFSET), Exposure(2 * GAIN, OFFSET)], [0.5, 0.5])
     torch.testing.assert_close(both.gain, 1.5 * GAIN)
+
+
+def _twice(n: int) -> Exposures:
+    values = tuple(Exposure(torch.full((3, 1, 1), 1.0 + i), torch.full((3, 1, 1), 0.1 * i)) for i in range(n))
+    centres = np.stack([np.arange(n), np.zeros(n), np.zeros(n)], 1).astype(np.float64)
+    return Exposures(tuple(f"{i}.png" for i in range(n)), centres, values)
+
+
+def test_a_photograph_has_its_own_exposure_and_another_place_that_of_those_around_it() -> None:
+    found = _twice(9)
+    assert found.of("3.png", np.zeros(3)) is found.values[3]
+    elsewhere = found.of("new.png", np.array([4.0, 0.1, 0]))
+    assert elsewhere.gain.mean() == pytest.approx(5, abs=0.2)
+    assert found.around(np.array([4.0, 0.1, 0])).gain.equal(elsewhere.gain)
+
+
+def test_what_is_left_out_does_not_count() -> None:
+    found = _twice(3)
+    kept = found.around(np.zeros(3), {"0.png", "2.png"})
+    torch.testing.assert_close(kept.gain, found.values[1].gain)
+    assert found.around(np.zeros(3), {"0.png", "1.png", "2.png"}) == UNCHANGED

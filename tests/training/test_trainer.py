@@ -14,6 +14,7 @@ from nmbg.cameras import Camera
 from nmbg.errors import NmbgError
 from nmbg.evaluation.evaluate import evaluate
 from nmbg.images import Image, write_image
+from nmbg.model.exposure import Exposure
 from nmbg.model.photographs import Gathered, Photographs
 from nmbg.model.renderer import Renderer
 from nmbg.scene import Scene, View
@@ -298,7 +299,7 @@ def test_a_network_learns_from_what_the_other_photographs_show(
     monkeypatch.setattr(Photographs, "gather", spy)
     monkeypatch.setattr(Scene, "load_image", painted)
     # Refinement moves the surface by all photographs alike; that is not what is asked here.
-    config = replace(SMALL["nmbg"], iterations=1, validation_views=0, refine="none")
+    config = replace(SMALL["nmbg"], inspect=False, iterations=1, validation_views=0, refine="none")
     train(Scene.load(scene_folder), config, tmp_path / "as-it-is")
     ((black, before),) = seen.items()
     train(Scene.load(scene_folder), config, tmp_path / "black")
@@ -344,3 +345,43 @@ def test_training_views_are_evaluated_without_their_photograph(
     ]
     assert before[0] == after[0]
     assert before[1] != after[1]
+
+
+def test_exposures_are_told_apart_from_what_is_photographed(
+    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One photograph is darkened; the others around its camera say how bright a view from there is."""
+    load = Scene.load_image
+    scene = Scene.load(scene_folder)
+    dark = scene.train[2].name
+
+    def dim(self: Scene, view: View) -> Image:
+        image = load(self, view)
+        return (image * 0.7).astype(np.uint8) if view.name == dark else image
+
+    monkeypatch.setattr(Scene, "load_image", dim)
+    config = replace(SMALL["mesh"], iterations=0, start="mean", validation_views=0)
+    run = train(scene, replace(config, exposure=True), tmp_path / "exposed")
+    exposures = checkpoint.load_exposures(run)
+    assert exposures is not None
+    gains = {name: float(e.gain.mean()) for name, e in zip(exposures.names, exposures.values, strict=True)}
+    assert min(gains, key=lambda name: gains[name]) == dark
+    renderer = checkpoint.load_run(run).renderer
+    plain = checkpoint.load_run(train(scene, config, tmp_path / "plain")).renderer
+    camera = scene.train[2].camera
+    expected = exposures.around(camera.centre, {dark}).apply(plain.render(camera))
+    torch.testing.assert_close(renderer.render(camera, {dark}), expected.clamp(0, 1))
+    with pytest.raises(ValueError, match="exposed alike already"):
+        replace(PRESETS["nmbg"], exposure=True)
+
+
+def test_the_loss_looks_at_renders_as_the_photograph_was_exposed() -> None:
+    stage = PRESETS["mesh"].stages[0]
+    bright = torch.full((1, 3, 4, 4), 0.5, requires_grad=True)
+    image = torch.full((3, 4, 4), 51, dtype=torch.uint8)
+    camera = Camera(np.eye(3), np.eye(3), np.zeros(3), 4, 4)
+    exposure = Exposure(torch.full((3, 1, 1), 0.4), torch.zeros(3, 1, 1))
+    example = Example("a", camera, [], image, None, exposure)
+    assert loop.losses(bright, stage, None, None, example, torch.Generator())["l1"].item() < 1e-6
+    plain = replace(example, exposure=None)
+    assert loop.losses(bright, stage, None, None, plain, torch.Generator())["l1"].item() > 0.29

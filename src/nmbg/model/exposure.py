@@ -7,6 +7,8 @@ neighbours were exposed; nothing is fitted to what it is compared with.
 
 from __future__ import annotations
 
+from collections.abc import Set
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -39,12 +41,41 @@ class Exposure(NamedTuple):
         """Expose a colour image [3, H, W]."""
         return self.gain * colour + self.offset
 
+    def to(self, device: torch.device) -> Exposure:
+        """The same on a device."""
+        return Exposure(self.gain.to(device), self.offset.to(device))
+
     def undo(self, image: Tensor) -> Tensor:
         """The colours on the mesh that a photograph [3, H, W] shows."""
         return (image - self.offset) / self.gain
 
 
 UNCHANGED = Exposure(torch.ones(3, 1, 1), torch.zeros(3, 1, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Exposures:
+    """How photographs were exposed.
+
+    Args:
+        names: of the photographs.
+        centres: [N, 3] float64 of their cameras.
+        values: one per photograph.
+    """
+
+    names: tuple[str, ...]
+    centres: npt.NDArray[np.float64]
+    values: tuple[Exposure, ...]
+
+    def of(self, name: str, centre: npt.NDArray[np.float64]) -> Exposure:
+        """The exposure of a photograph; where it is not among these, of those around its camera."""
+        return self.values[self.names.index(name)] if name in self.names else self.around(centre)
+
+    def around(self, centre: npt.NDArray[np.float64], without: Set[str] = frozenset()) -> Exposure:
+        """The mean exposure of the photographs around a camera centre [3], some of them left out."""
+        others = [i for i, name in enumerate(self.names) if name not in without]
+        near, weights = neighbours(centre, self.centres[others])
+        return mean_exposure([self.values[others[i]] for i in near], weights)
 
 
 def fit_exposure(image: Tensor, colour: Tensor, counted: Tensor) -> Exposure:

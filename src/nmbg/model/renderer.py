@@ -13,6 +13,7 @@ from nmbg.cameras import Camera
 from nmbg.mesh import Mesh
 from nmbg.model.config import ModelConfig
 from nmbg.model.descriptors import SH_CONSTANT, Descriptors
+from nmbg.model.exposure import Exposures
 from nmbg.model.fragments import LayerFragments, rasterize_finest, rasterize_layer
 from nmbg.model.photographs import NOTHING, Gathered, Photographs, count_features
 from nmbg.model.unet import UNet
@@ -40,6 +41,8 @@ class Renderer(nn.Module):
         self.layers = tuple(layers)
         self.descriptors = nn.ModuleList(Descriptors(len(mesh.vertices), config) for mesh in layers)
         self.photographs: Photographs | None = None
+        # Of training photographs; photographs that are blended know their own.
+        self.exposures: Exposures | None = None
         self.network = make_network(config) if network is None else network
 
     @property
@@ -143,6 +146,8 @@ class Renderer(nn.Module):
     def render(self, camera: Camera, without: Set[str] = NOTHING) -> Tensor:
         """A new view, [3, H, W] float32 in [0, 1] on the CPU; any camera, any size.
 
+        It is exposed as the photographs around it were, where these are known to differ.
+
         Args:
             camera: the view.
             without: names of the photographs that must not be blended in, as the one this view is compared
@@ -154,6 +159,8 @@ class Renderer(nn.Module):
             image: Tensor = self(self.see(camera, without), camera)
         finally:
             self.train(training)
+        if self.exposures is not None:
+            image = self.exposures.around(camera.centre, without).apply(image.cpu())
         return image.clamp(0, 1).cpu()
 
 

@@ -22,6 +22,7 @@ from nmbg.atomic import atomic_file, atomic_folder
 from nmbg.errors import NmbgError
 from nmbg.mesh import Mesh, split_layers
 from nmbg.model.config import ModelConfig
+from nmbg.model.exposure import Exposure, Exposures
 from nmbg.model.renderer import Renderer
 from nmbg.scene import Scene, View
 from nmbg.training.config import Stage, TrainConfig
@@ -123,11 +124,26 @@ def save_scene(run: Path, scene: Scene, views: Sequence[View]) -> None:
     replace(scene, views=tuple(views)).save(folder)
 
 
-def save_views(run: Path, scene: Scene, left_out: Mapping[str, str]) -> None:
-    """Write views.json: where the training views stand in the run, which it leaves out, and why."""
+def save_views(
+    run: Path, scene: Scene, left_out: Mapping[str, str], exposures: Exposures | None = None
+) -> None:
+    """Write views.json.
+
+    Args:
+        run: run folder.
+        scene: gives the training views, at their places in the run.
+        left_out: views that the run leaves out, and why.
+        exposures: of training photographs, where the run takes them into account.
+    """
     poses = {v.name: {"R": v.camera.R.tolist(), "t": v.camera.t.tolist()} for v in scene.train}
     with atomic_file(run / VIEWS) as path:
-        path.write_text(json.dumps({"left_out": dict(left_out), "poses": poses}, indent=1) + "\n")
+        content = {"left_out": dict(left_out), "poses": poses, "exposures": None}
+        if exposures is not None:
+            content["exposures"] = {
+                name: {part: value.flatten().tolist() for part, value in exposure._asdict().items()}
+                for name, exposure in zip(exposures.names, exposures.values, strict=True)
+            }
+        path.write_text(json.dumps(content, indent=1) + "\n")
 
 
 def load_views(run: Path, scene: Scene) -> Scene:
@@ -153,6 +169,31 @@ def load_views(run: Path, scene: Scene) -> Scene:
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise NmbgError(f"{path}: damaged, or of another scene; train the run anew") from error
     return replace(scene, views=tuple(views))
+
+
+def load_exposures(run: Path) -> Exposures | None:
+    """The exposures of training photographs that a run takes into account, if it does.
+
+    Args:
+        run: run folder.
+
+    Raises:
+        NmbgError: the file is missing or damaged.
+    """
+    path = run / VIEWS
+    try:
+        content = json.loads(path.read_text())
+        found, poses = content["exposures"], content["poses"]
+        if found is None:
+            return None
+        centres = [-np.array(poses[name]["R"]).T @ np.array(poses[name]["t"]) for name in found]
+        values = [
+            Exposure(*(torch.tensor(found[name][part])[:, None, None] for part in ("gain", "offset")))
+            for name in found
+        ]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise NmbgError(f"{path}: damaged, or of another scene; train the run anew") from error
+    return Exposures(tuple(found), np.stack(centres), tuple(values))
 
 
 def load_config(run: Path) -> tuple[dict[str, Path], TrainConfig]:
@@ -296,6 +337,7 @@ def load_run(run: Path, device: str = "cpu") -> Run:
     load_module(checkpoint, "descriptors", renderer.descriptors)
     load_module(checkpoint, "network", renderer.network)
     remember_photographs(run, renderer)
+    renderer.exposures = load_exposures(run)
     return Run(run, folder, config, renderer.eval())
 
 

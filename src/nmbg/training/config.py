@@ -55,6 +55,8 @@ class TrainConfig:
         artificial_views: share of the steps that look at views without a photograph, for L_GAN alone, in
             [0, 1).
         validation_views: training views kept aside for progress figures.
+        exposure: learn what photographs show but for their exposures, which are fitted in closed form; a new
+            view is exposed as those around it were. What blends photographs does so by itself.
         inspect: leave out training views that cannot be right (`nmbg.training.inspection`).
         refine: what is moved to where the photographs agree before anything else: "none", or "geometry" (the
             surface), "poses" (the training cameras) or "geometry,poses".
@@ -77,6 +79,7 @@ class TrainConfig:
     minutes: float | None = None
     artificial_views: float = 0.0
     validation_views: int = 2
+    exposure: bool = False
     inspect: bool = True
     refine: Refine = "none"
     photos: int | Literal["auto", "all"] = "all"
@@ -88,6 +91,8 @@ class TrainConfig:
     def __post_init__(self) -> None:
         if sum(budget is not None for budget in (self.iterations, self.epochs, self.minutes)) > 1:
             raise ValueError("give one of iterations, epochs and minutes")
+        if self.exposure and self.model.sources:
+            raise ValueError("photographs that are blended are exposed alike already; leave exposure out")
         if not 0 <= self.artificial_views < 1:
             raise ValueError(f"artificial views: expected a share in [0, 1), got {self.artificial_views}")
         for stage in self.stages:

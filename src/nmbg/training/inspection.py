@@ -1,7 +1,7 @@
 """Photographs that cannot be right: black, of something else, or with a pose that is wildly wrong.
 
-Each is compared with the colours on the mesh, which all of them made together. One that differs far more than
-the others do teaches nothing and spoils what is blended from it.
+Each is compared with the colours on the mesh, which all of them made together, by correlation: exposure does
+not count. One that differs far more than the others do teaches nothing and spoils what is blended from it.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from nmbg.images import resize
-from nmbg.model.exposure import fit_exposure
 from nmbg.reconstruct.coverage import mask_at
 from nmbg.reconstruct.prediction import shade
 from nmbg.scene import Scene
@@ -23,6 +23,8 @@ SIZE = 240
 # A photograph is left out when it differs more than the median one does, by so many robust deviations and by
 # this factor.
 DEVIATIONS, FACTOR = 8.0, 2.0
+# And by this much at least, of 1 for what has nothing in common: what is nearly perfect may vary.
+LEAST_DIFFERENCE = 0.4
 # A view that sees surface in a smaller share of its pixels tells nothing.
 LEAST_COVERED = 0.01
 # Fewer views do not tell which of them is wrong.
@@ -48,22 +50,27 @@ def doubtful(scene: Scene) -> dict[str, str]:
         image = torch.from_numpy(resize(scene.load_image(view), camera.width, camera.height))
         image = image.permute(2, 0, 1) / 255
         colour = shade(scene.mesh, camera).permute(2, 0, 1) / 255
-        even = fit_exposure(image, colour, counted).undo(image)
-        difference[i] = (even - colour)[:, counted].abs().mean()
+        difference[i] = 1 - _correlation(image[:, counted], colour[:, counted])
     sees = covered >= LEAST_COVERED
     median = float(np.median(difference[sees])) if sees.any() else 0.0
     spread = 1.4826 * float(np.median(np.abs(difference[sees] - median))) if sees.any() else 0.0
-    limit = max(FACTOR * median, median + DEVIATIONS * spread)
+    limit = max(FACTOR * median, median + DEVIATIONS * spread, LEAST_DIFFERENCE)
     found = {}
     for view, share, d in zip(views, covered, difference, strict=True):
         if share < LEAST_COVERED:
             found[view.name] = "it sees no surface: is its pose right?"
         elif d > limit:
             found[view.name] = (
-                f"it differs from the surface by {d / median:.1f} times the median: is it the right "
-                "photograph, and its pose right?"
+                f"it has little in common with the surface ({1 - d:.2f}, others {1 - median:.2f}): is it the "
+                "right photograph, and its pose right?"
             )
     return found if len(found) <= len(views) // 4 else {}
+
+
+def _correlation(a: Tensor, b: Tensor) -> float:
+    """Correlation of colours [3, N], each channel about its own mean; 0 of a plain image."""
+    a, b = (x.double() - x.double().mean(1, keepdim=True) for x in (a, b))
+    return float((a * b).sum() / (a.norm() * b.norm()).clamp(min=1e-9))
 
 
 def without(scene: Scene, names: set[str] | dict[str, str]) -> Scene:

@@ -233,6 +233,8 @@ def losses(
 ) -> dict[str, Tensor]:
     """The stage's loss and its terms; an artificial view has the adversarial one alone."""
     terms = {"loss": image.new_zeros(())}
+    if example.exposure is not None:
+        image = example.exposure.to(image.device).apply(image[0])[None]
     if example.image is not None:
         target = (example.image.to(image.device) / 255)[None]
         mask = None
@@ -260,7 +262,10 @@ def _validate(renderer: Renderer, views: Views, stage: Stage) -> float:
     for i in range(len(views)):
         example = views.frame(i)
         assert example.image is not None
-        image = render(renderer, stage, example).clamp(0, 1).cpu()
+        image = render(renderer, stage, example).cpu()
+        if example.exposure is not None:
+            image = example.exposure.apply(image)
+        image = image.clamp(0, 1)
         error = (image - example.image / 255) ** 2
         if example.mask is not None:
             error = error * example.mask

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import nn
 
 from nmbg.cameras import Camera
 from nmbg.capacity import choose_photographs
+from nmbg.model.exposure import Exposures, fit_exposure
 from nmbg.model.renderer import Prepared, Renderer
 from nmbg.progress import console
 from nmbg.reconstruct.poses import refine_poses
+from nmbg.reconstruct.prediction import shade
 from nmbg.reconstruct.refinement import refine_geometry, views_for
 from nmbg.scene import Scene, View
+from nmbg.sight import look
 from nmbg.training import checkpoint
 from nmbg.training.artificial import ArtificialCameras
 from nmbg.training.camera_picture import camera_picture
@@ -53,6 +57,7 @@ class Member:
         checkpoint.remember_photographs(folder, renderer)
         if fit is None and can_leave_out(config):
             fit = fit_left_out(renderer, scene)
+        renderer.exposures = checkpoint.load_exposures(folder)
         self.training, self.validation = make_views(scene, config, renderer, fit)
         self.artificial = ArtificialCameras(scene) if config.artificial_views else None
         self.steps = 0  # that looked at it
@@ -136,9 +141,10 @@ def begin(
     scene = without(scene, left_out)
     if "poses" in config.refine:
         scene = refine_poses(scene)
-    checkpoint.save_views(folder, scene, left_out)
     if "geometry" in config.refine:
         scene = replace(scene, mesh=refine_geometry(scene, views=views_for(config.minutes)))
+    exposures = fit_exposures(scene, split_training(scene, config)[0]) if config.exposure else None
+    checkpoint.save_views(folder, scene, left_out, exposures)
     renderer = checkpoint.build_renderer(scene, config, network)
     kept = choose_photographs(scene, config.photos, config.model) if config.model.sources else ()
     checkpoint.save_scene(folder, scene, kept)
@@ -166,6 +172,20 @@ def split_training(scene: Scene, config: TrainConfig) -> tuple[tuple[View, ...],
     return pick(False), pick(True)
 
 
+def fit_exposures(scene: Scene, views: Sequence[View]) -> Exposures:
+    """How photographs differ from the mean colours on the mesh."""
+    values = []
+    for view in views:
+        camera, mask = view.camera, scene.load_mask(view)
+        counted = look(scene.mesh, camera).covered
+        if mask is not None:
+            counted &= torch.from_numpy(mask)
+        image = torch.from_numpy(scene.load_image(view)).permute(2, 0, 1) / 255
+        values.append(fit_exposure(image, shade(scene.mesh, camera).permute(2, 0, 1) / 255, counted))
+    centres = np.stack([view.camera.centre for view in views])
+    return Exposures(tuple(view.name for view in views), centres, tuple(values))
+
+
 def _fit_colours(scene: Scene, config: TrainConfig, renderer: Renderer) -> ColourFit | None:
     """The closed-form start. What leaves each view out anyway may use those kept aside too."""
     if config.start != "fit":
@@ -191,4 +211,8 @@ def make_views(
     frames = config.whole_frames or (config.zoom == 1 and can_leave_out(config))
     # Half of the memory is for what the loss keeps, where it keeps something.
     cache = config.cache_gib / (2 if config.whole_frames and config.perceptual != "none" else 1)
-    return Views(scene, training, see, cache if frames else 0.0), Views(scene, aside, see, cache)
+    exposures = renderer.exposures
+    return (
+        Views(scene, training, see, cache if frames else 0.0, exposures),
+        Views(scene, aside, see, cache, exposures),
+    )

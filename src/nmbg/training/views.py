@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from nmbg.cameras import Camera
+from nmbg.model.exposure import Exposure, Exposures
 from nmbg.model.photographs import Gathered
 from nmbg.model.renderer import Prepared
 from nmbg.scene import Scene, View
@@ -26,6 +27,7 @@ class Example:
         sight: what the renderer needs of the view.
         image: [3, H, W] uint8; None of an artificial view.
         mask: [H, W] bool, or None when every pixel counts.
+        exposure: of the photograph; None where all count as exposed alike.
     """
 
     name: str
@@ -33,6 +35,7 @@ class Example:
     sight: Prepared
     image: Tensor | None
     mask: Tensor | None
+    exposure: Exposure | None = None
 
     @property
     def nbytes(self) -> int:
@@ -49,6 +52,7 @@ class Views:
         views: which of its views.
         see: camera of a view, or of a part of it, and the view → what the renderer needs of it.
         cache_gib: memory for whole-frame examples, GiB.
+        exposures: of training photographs, where they are known to differ.
     """
 
     def __init__(
@@ -57,7 +61,9 @@ class Views:
         views: tuple[View, ...],
         see: Callable[[Camera, View], Prepared],
         cache_gib: float,
+        exposures: Exposures | None = None,
     ) -> None:
+        self.exposures = exposures
         self.scene, self.views, self.see = scene, views, see
         self._free = int(cache_gib * GIB)
         self._cache: dict[int, Example] = {}
@@ -140,7 +146,9 @@ class Views:
         return image, None if mask is None else torch.from_numpy(mask)
 
     def _example(self, view: View, camera: Camera, image: Tensor, mask: Tensor | None) -> Example:
-        return Example(view.name, camera, self.see(camera, view), image, mask)
+        found = self.exposures
+        exposure = None if found is None else found.of(view.name, view.camera.centre)
+        return Example(view.name, camera, self.see(camera, view), image, mask, exposure)
 
 
 def random_window(
