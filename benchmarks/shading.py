@@ -102,8 +102,8 @@ def _table(results: dict[str, Any]) -> str:
 @click.option("--repeats", type=click.IntRange(min=5), default=41, show_default=True)
 def main(scene: Path, output: Path, repeats: int) -> None:
     """Time shading of SCENE's first training view; write shading.json and shading.md."""
-    config = PRESETS["paper"].model
-    kinds = {name: measure(*case, config, repeats) for name, case in cases(Scene.load(scene), config).items()}
+    found = cases(Scene.load(scene), replace(PRESETS["paper"].model, layers=1))
+    kinds = {name: measure(*case, repeats) for name, case in found.items()}
     results = {"command": command(), **provenance(), "repeats": repeats, "kinds": kinds}
     write(output, "shading", results, _table(results))
     click.echo(_table(results))
