@@ -3,6 +3,18 @@
 namespace nmbg::NMBG_ISA {
 
 constexpr int strip = 64;  // pixels whose features are written together
+constexpr int ahead = 8;   // pixels by which rows are asked for before they are mixed
+
+// Ask for the rows of a pixel: their order in memory is not one that the processor foresees.
+template <int K, class T>
+NMBG_INLINE void fetch(const Shading<T>& s, int64_t pixel, int size) {
+    std::array<int32_t, K> vertex{};
+    if (!corners<K>(s, pixel, vertex)) return;
+    for (int k = 0; k < K; ++k) {
+        const char* row = reinterpret_cast<const char*>(s.coeffs + int64_t{vertex[k]} * size);
+        for (size_t byte = 0; byte < size * sizeof(T); byte += 64) __builtin_prefetch(row + byte);
+    }
+}
 
 // row = Σ_k weight_k rows_k.
 template <int K, class T>
@@ -50,6 +62,7 @@ NMBG_INLINE void shade_any_pixels(const Shading<T>& s, int64_t begin, int64_t en
         const int n = static_cast<int>(end - first < strip ? end - first : strip);
         for (int i = 0; i < n; ++i) {
             const int64_t pixel = first + i;
+            if (pixel + ahead < end) fetch<K>(s, pixel + ahead, size);
             T* feature = features + i * s.channels;
             std::array<int32_t, K> vertex{};
             if (!corners<K>(s, pixel, vertex)) {
