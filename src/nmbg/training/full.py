@@ -25,7 +25,7 @@ from nmbg.training.budget import Clock
 from nmbg.training.checkpoint import SCENES, Progress
 from nmbg.training.config import TrainConfig
 from nmbg.training.initial import take_over
-from nmbg.training.loop import fit
+from nmbg.training.loop import Loop
 from nmbg.training.member import Member, begin, split_training
 from nmbg.training.schedule import extra_steps, shard
 from nmbg.training.trainer import make_adversary, make_perceptual, smallest_view
@@ -80,7 +80,7 @@ def train_together(
         company.begin(processes.gathered(Path())[0])
     processes.wait()
     company.share()
-    fit(config, run, company, perceptual, adversary, Progress(), {}, clock)
+    Loop(config, run, company, perceptual, adversary, Progress(), {}, clock).fit()
     return run
 
 
@@ -112,7 +112,7 @@ def resume_together(run: Path, weights: Path | None = None) -> Path:
     if adversary is not None and "adversary" in optimisers:
         adversary.load_state_dict(optimisers["adversary"])
     company.share()
-    fit(config, run, company, perceptual, adversary, state, optimisers, clock)
+    Loop(config, run, company, perceptual, adversary, state, optimisers, clock).fit()
     return run
 
 

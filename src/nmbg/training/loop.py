@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 import signal
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
@@ -59,125 +61,187 @@ class Crew(Protocol):
         ...
 
 
-def fit(
-    config: TrainConfig,
-    run: Path,
-    crew: Crew,
-    perceptual: PerceptualTerm | None,
-    adversary: Adversary | None,
-    state: Progress,
-    optimisers: dict[str, Any],
-    clock: Clock,
-) -> None:
-    """Train from `state` to the end of the budget, or until interrupted.
+@dataclass(frozen=True)
+class Attempt:
+    """A step up to its loss.
 
-    Raises:
-        NmbgError: losses stay without a finite value.
-        KeyboardInterrupt: interrupted; a checkpoint was saved.
+    Args:
+        stage: of the training.
+        member: the scene that is looked at.
+        example: what is looked at.
+        image: [1, 3, H, W], the render.
+        terms: of the loss; "loss" is what is descended.
+        parts: what the stage trains.
+        random: source of the step's random numbers.
+        statistics: the network's running statistics before the step.
     """
-    schedule = Schedule(crew.counts, config.artificial_views, config.seed, crew.length)
-    if state.length and state.length != schedule.length:  # other processes: the same share of the passes
-        state = replace(state, step=round(state.step * schedule.length / state.length))
-    budget = Budget(config, schedule.length, clock)
-    step, stage_index, caution = state.step, state.stage, state.caution
-    skipped, in_a_row, saved = Counter(state.skipped), 0, clock.seconds
-    shared: list[Part] | None = None
-    (progress,) = processes.largest([budget.progress(step)])
 
-    def save() -> None:
-        states = {"network": [optimiser.state_dict() for optimiser, _ in shared or []]}
-        if adversary is not None:
-            states["adversary"] = adversary.state_dict()  # type: ignore[assignment]
-        now = Progress(step, schedule.length, clock.seconds, stage_index, caution, dict(skipped))
-        crew.save(now, states)
+    stage: Stage
+    member: Member
+    example: Example
+    image: Tensor
+    terms: dict[str, Tensor]
+    parts: list[Part]
+    random: torch.Generator
+    statistics: list[Tensor]
 
-    with Log(run, step) as log, _interruptible() as interrupted, progress_bar() as bar:
-        task = bar.add_task(f"training {config.preset}", total=100)
-        stopped = False
-        while progress < 1 and not stopped:
-            index, done = budget.stage(progress)
-            stage = config.stages[index]
-            if shared is None or index != stage_index:
-                shared = network_part(crew.network, stage)
-                if index == state.stage and "network" in optimisers:
-                    for (optimiser, _), found in zip(shared, optimisers.pop("network"), strict=True):
-                        optimiser.load_state_dict(found)
-                stage_index = index
-            turn = schedule.turn(step)
-            member = crew.member(turn.scene)
-            member.renderer.train()
-            parts = [*shared, *member.parts(stage_index)]
-            example = member.example(turn.view, step)
-            statistics = _statistics(crew.network)
-            generator = torch.Generator().manual_seed(config.seed * 1_000_003 + step + 1)
-            with torch.autocast(config.device, torch.bfloat16, enabled=config.bf16):
-                image = render(member.renderer, stage, example)[None]
-                terms = losses(image, stage, perceptual, adversary, example, generator)
-            with processes.others_may_end():
-                finite = differentiate(terms["loss"], parts)
-            # Clocks differ: what hangs on them is agreed on, too.
-            bad, stop, due, reached = processes.largest(
-                [
-                    not finite,
-                    bool(interrupted),
-                    clock.seconds - saved > SAVE_EVERY,
-                    budget.progress(step + 1),
-                ]
+
+class Loop:
+    """Trains from a state to the end of the budget, or until interrupted.
+
+    Args:
+        config: how.
+        run: run folder, for the log.
+        crew: the scenes of this process.
+        perceptual: L_rec, or None.
+        adversary: L_GAN, or None.
+        state: where training stands.
+        optimisers: states of what belongs to all scenes, from a checkpoint.
+        clock: of the run.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        run: Path,
+        crew: Crew,
+        perceptual: PerceptualTerm | None,
+        adversary: Adversary | None,
+        state: Progress,
+        optimisers: dict[str, Any],
+        clock: Clock,
+    ) -> None:
+        self.config, self.run, self.crew, self.clock = config, run, crew, clock
+        self.perceptual, self.adversary = perceptual, adversary
+        self.schedule = Schedule(crew.counts, config.artificial_views, config.seed, crew.length)
+        self.budget = Budget(config, self.schedule.length, clock)
+        self.step, self.stage, self.caution = state.step, state.stage, state.caution
+        if state.length and state.length != self.schedule.length:
+            # Other processes: the same share of the passes is over.
+            self.step = round(state.step * self.schedule.length / state.length)
+        self.skipped, self.in_a_row = Counter(state.skipped), 0
+        self._saved = clock.seconds
+        self._network: list[Part] | None = None  # of the stage
+        self._state_of_network = optimisers.get("network")
+
+    def fit(self) -> None:
+        """Train.
+
+        Raises:
+            NmbgError: losses stay without a finite value.
+            KeyboardInterrupt: interrupted; a checkpoint was saved.
+        """
+        (progress,) = processes.largest([self.budget.progress(self.step)])
+        stop = False
+        with Log(self.run, self.step) as log, _interruptible() as interrupted, progress_bar() as bar:
+            task = bar.add_task(f"training {self.config.preset}", total=100)
+            while progress < 1 and not stop:
+                before, (index, done) = progress, self.budget.stage(progress)
+                attempt = self._attempt(index)
+                with processes.others_may_end():
+                    finite = differentiate(attempt.terms["loss"], attempt.parts)
+                # Clocks differ: what hangs on them is agreed on, too.
+                overdue = self.clock.seconds - self._saved > SAVE_EVERY
+                facts = (not finite, bool(interrupted), overdue, self.budget.progress(self.step + 1))
+                bad, stop_, due, progress = processes.largest(facts)
+                stop = bool(stop_)
+                self.step += 1
+                attempt.member.steps += 1
+                if bad:
+                    self._leave_out(attempt, finite)
+                else:
+                    self._descend(attempt, done)
+                    if int(REPORTS * progress) > int(REPORTS * before) or progress >= 1:
+                        self._report(log, progress, attempt)
+                bar.update(task, completed=100 * progress)
+                if due and not stop and progress < 1:
+                    self.save()
+        if self._network is not None:
+            self.save()
+        for name, times in self.skipped.items():
+            console.print(f"{name}: {times} steps were left out, because the loss was not finite")
+        if stop:
+            again = f"nmbg train --resume --output {self.run}"
+            console.print(f"interrupted at step {self.step}; go on with: {again}")
+            raise KeyboardInterrupt
+
+    def save(self) -> None:
+        """Write a checkpoint."""
+        states: dict[str, Any] = {"network": [optimiser.state_dict() for optimiser, _ in self._network or []]}
+        if self.adversary is not None:
+            states["adversary"] = self.adversary.state_dict()
+        self._saved = self.clock.seconds
+        # Each process knows what it left out itself.
+        self.skipped = functools.reduce(operator.or_, processes.gathered(self.skipped))
+        self.crew.save(
+            Progress(
+                self.step,
+                self.schedule.length,
+                self.clock.seconds,
+                self.stage,
+                self.caution,
+                dict(self.skipped),
+            ),
+            states,
+        )
+
+    def _attempt(self, index: int) -> Attempt:
+        """Render what the step looks at, in a stage (its index), and compare."""
+        stage = self.config.stages[index]
+        if self._network is None or index != self.stage:
+            self._network = network_part(self.crew.network, stage)
+            if index == self.stage and self._state_of_network is not None:
+                for (optimiser, _), state in zip(self._network, self._state_of_network, strict=True):
+                    optimiser.load_state_dict(state)
+            self.stage, self._state_of_network = index, None
+        turn = self.schedule.turn(self.step)
+        member = self.crew.member(turn.scene)
+        member.renderer.train()
+        example = member.example(turn.view, self.step)
+        statistics = _statistics(self.crew.network)
+        random = torch.Generator().manual_seed(self.config.seed * 1_000_003 + self.step + 1)
+        with torch.autocast(self.config.device, torch.bfloat16, enabled=self.config.bf16):
+            image = render(member.renderer, stage, example)[None]
+            terms = losses(image, stage, self.perceptual, self.adversary, example, random)
+        parts = [*self._network, *member.parts(index)]
+        return Attempt(stage, member, example, image, terms, parts, random, statistics)
+
+    def _descend(self, attempt: Attempt, done: float) -> None:
+        """Step along the gradients; then the discriminator learns from the same render."""
+        self.in_a_row = 0
+        descend(attempt.parts, self.caution * ((1 - done) if attempt.stage.decay else 1.0))
+        if self.adversary is not None and attempt.stage.adversarial:
+            photograph = _photograph(attempt)
+            loss = self.adversary.learn(attempt.image, photograph, attempt.random)
+            attempt.terms["discriminator"] = loss
+
+    def _leave_out(self, attempt: Attempt, finite: bool) -> None:
+        """Let a step not have been; `finite` where it is another process that has to."""
+        name = attempt.example.name
+        self.in_a_row += 1
+        _restore(self.crew.network, attempt.statistics)
+        if not finite:
+            self.skipped[name] += 1
+            if self.skipped[name] == 1:
+                console.print(f"{name}: the loss is not finite at step {self.step}; the step is left out")
+        if self.in_a_row % PATIENCE == 0:
+            self.caution *= CAUTION
+        if self.in_a_row > HOPELESS:
+            raise NmbgError(
+                f"{name}: {self.in_a_row} steps in a row without a finite loss; the last checkpoint is "
+                "sound: look at the photographs named above, or train anew"
             )
-            member.steps += 1
-            step, stopped = step + 1, bool(stop)
-            if bad:
-                in_a_row += 1
-                _restore(crew.network, statistics)
-                if not finite:
-                    skipped[example.name] += 1
-                    _tell(example.name, step, skipped)
-                if in_a_row % PATIENCE == 0:
-                    caution *= CAUTION
-                if in_a_row > HOPELESS:
-                    raise NmbgError(
-                        f"{example.name}: {in_a_row} steps in a row without a finite loss; the last "
-                        "checkpoint is sound: look at the photographs named above, or train anew"
-                    )
-            else:
-                in_a_row = 0
-                descend(parts, caution * ((1 - done) if stage.decay else 1.0))
-                if adversary is not None and stage.adversarial:
-                    terms["discriminator"] = adversary.learn(
-                        image, _photograph(member, example, generator), generator
-                    )
 
-            report = int(REPORTS * progress)
-            progress = reached
-            bar.update(task, completed=100 * progress)
-            if not bad and (int(REPORTS * progress) > report or progress >= 1):
-                figures = {name: value.item() for name, value in terms.items()}
-                if "adversarial" in figures:
-                    figures["adversarial_share"] = (
-                        stage.adversarial * figures["adversarial"] / figures["loss"]
-                    )
-                if len(member.validation):
-                    figures["validation_psnr"] = _validate(member.renderer, member.validation, stage)
-                log.write(
-                    step,
-                    seconds=clock.seconds,
-                    progress=progress,
-                    stage=index,
-                    scene=member.folder.name,
-                    **_mean(figures),
-                )
-            if due and not stopped and progress < 1:
-                saved = clock.seconds
-                save()
-    if shared is not None:
-        save()
-    for name, times in skipped.items():
-        console.print(f"{name}: {times} steps were left out, because the loss was not finite")
-    if stopped:
-        again = f"nmbg train --resume --output {run}"
-        if processes.rank() == 0:
-            console.print(f"interrupted at step {step}; go on with: {again}")
-        raise KeyboardInterrupt
+    def _report(self, log: Log, progress: float, attempt: Attempt) -> None:
+        """Write a row of figures: means over the processes."""
+        stage, member = attempt.stage, attempt.member
+        figures = {name: value.item() for name, value in attempt.terms.items()}
+        if "adversarial" in figures:
+            figures["adversarial_share"] = stage.adversarial * figures["adversarial"] / figures["loss"]
+        if len(member.validation):
+            figures["validation_psnr"] = _validate(member.renderer, member.validation, stage)
+        known = {"seconds": self.clock.seconds, "progress": progress, "stage": self.stage}
+        log.write(self.step, **known, scene=member.folder.name, **_mean(figures))
 
 
 def _mean(figures: dict[str, float]) -> dict[str, float]:
@@ -186,11 +250,6 @@ def _mean(figures: dict[str, float]) -> dict[str, float]:
     values = processes.mean([figures.get(name, 0.0) for name in names])
     counts = processes.mean([float(name in figures) for name in names])
     return {name: v / n for name, v, n in zip(names, values, counts, strict=True) if n}
-
-
-def _tell(name: str, step: int, skipped: Counter[str]) -> None:
-    if skipped[name] == 1:
-        console.print(f"{name}: the loss is not finite at step {step}; the step is left out")
 
 
 def _statistics(network: nn.Module | None) -> list[Tensor]:
@@ -204,11 +263,11 @@ def _restore(network: nn.Module | None, statistics: list[Tensor]) -> None:
             buffer.copy_(before)
 
 
-def _photograph(member: Member, example: Example, generator: torch.Generator) -> Tensor:
+def _photograph(attempt: Attempt) -> Tensor:
     """What the discriminator takes for true beside a render: its photograph, or some one's, [1, 3, H, W]."""
-    image, mask = example.image, example.mask
+    image, mask, member = attempt.example.image, attempt.example.mask, attempt.member
     if image is None:
-        i = int(torch.randint(len(member.training), (), generator=generator))
+        i = int(torch.randint(len(member.training), (), generator=attempt.random))
         image, mask = member.training.photograph(i)
     image = image.to(member.config.device) / 255
     return (image if mask is None else image * mask.to(image.device))[None]

@@ -17,7 +17,7 @@ from nmbg.training.budget import Clock
 from nmbg.training.checkpoint import Progress
 from nmbg.training.config import TrainConfig
 from nmbg.training.initial import take_over
-from nmbg.training.loop import fit
+from nmbg.training.loop import Loop
 from nmbg.training.member import Member, begin
 from nmbg.training.targets import PerceptualTerm
 
@@ -58,7 +58,7 @@ def train(
         checkpoint.save_checkpoint(temporary, Progress(seconds=clock.seconds), modules)
     if config.stages:
         crew = _Alone(Member(run, scene_, config, renderer, colours))
-        fit(config, run, crew, perceptual, adversary, Progress(), {}, clock)
+        Loop(config, run, crew, perceptual, adversary, Progress(), {}, clock).fit()
     return run
 
 
@@ -88,7 +88,7 @@ def resume(run: Path, weights: Path | None = None) -> Path:
     adversary = make_adversary(config, *smallest_view(member.scene))
     if adversary is not None and "adversary" in optimisers:
         adversary.load_state_dict(optimisers["adversary"])
-    fit(config, run, _Alone(member), perceptual, adversary, state, optimisers, clock)
+    Loop(config, run, _Alone(member), perceptual, adversary, state, optimisers, clock).fit()
     return run
 
 
