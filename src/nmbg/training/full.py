@@ -76,9 +76,11 @@ def train_together(
             checkpoint.save_config(temporary, run, scenes, config)
             progress = Progress(seconds=clock.seconds, scenes=dict.fromkeys(scenes, 0))
             checkpoint.save_checkpoint(temporary, progress, {"network": company.bare})
+            processes.wait()  # until the others have written their scenes, too
     else:
         company.begin(processes.gathered(Path())[0])
-    processes.wait()
+        processes.wait()
+    processes.wait()  # until the folder stands at its place
     company.share()
     Loop(config, run, company, perceptual, adversary, Progress(), {}, clock).fit()
     return run
