@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from datetime import timedelta
 from typing import TypeVar, cast
 
 import torch
@@ -21,6 +22,9 @@ from nmbg.progress import console
 
 T = TypeVar("T")
 
+# One may prepare a large scene while another waits; one that has ended is noticed at once.
+PATIENCE = timedelta(hours=6)
+
 
 @contextmanager
 def joined(device: str) -> Iterator[None]:
@@ -30,7 +34,7 @@ def joined(device: str) -> Iterator[None]:
         return
     if device == "cuda":
         torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
-    dist.init_process_group("nccl" if device == "cuda" else "gloo")
+    dist.init_process_group("nccl" if device == "cuda" else "gloo", timeout=PATIENCE)
     console.quiet = rank() > 0  # one progress bar
     try:
         yield
