@@ -12,6 +12,7 @@ from nmbg.backbones import NETS, POOLS
 from nmbg.errors import NmbgError
 from nmbg.losses import PAPER_LAYERS, Perceptual, l1, parse_perceptual
 
+SHARED = Path(__file__).parents[2] / "shared" / "weights"
 SPEC = "vgg19:relu1_2,relu2_2,relu3_1"
 
 
@@ -166,3 +167,20 @@ def test_autocast_and_channels_last(perceptual):
     assert image.grad is not None
     assert image.grad.isfinite().all()
     torch.testing.assert_close(loss, expected, rtol=0.02, atol=0)
+
+
+def test_scale_is_that_of_the_features(weights):
+    """The adversarial term is weighted by it, so that it keeps its share whatever the weights."""
+    plain, larger = Perceptual(SPEC, weights), Perceptual(SPEC, weights)
+    with torch.no_grad():
+        weight_1, bias_1, _, bias_2 = list(larger.network.parameters())[:4]
+        for parameter in (weight_1, bias_1, bias_2):
+            parameter.mul_(3)
+    assert larger.scale == pytest.approx(3 * plain.scale)
+    assert plain.scale > 0
+    assert Perceptual("vgg19:relu2_2", weights).scale == 1
+
+
+@pytest.mark.skipif(not SHARED.is_dir(), reason="the pretrained weights are not there")
+def test_scale_of_the_papers_weights_is_one():
+    assert Perceptual("vgg19:relu1_2", SHARED).scale == pytest.approx(1, rel=1e-3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from nmbg.errors import NmbgError
 
 PAPER_LAYERS = ("relu1_2", "relu2_2", "relu3_2", "relu4_2", "relu5_2")
 PAPER_WEIGHTS = (1.0, 0.75, 0.5, 0.5, 1.0)
+# Mean of relu1_2 of a grey chequerboard under the weights that the paper's loss uses, Oxford's.
+PAPER_FEATURE = 152.7
 
 
 def l1(
@@ -73,7 +76,7 @@ class Perceptual(nn.Module):
 
     def __init__(self, spec: str, folder: Path | None = None) -> None:
         super().__init__()
-        layers = parse_perceptual(spec)
+        self.layers = layers = parse_perceptual(spec)
         self.weights = PAPER_WEIGHTS[: len(layers)]
         self.network = load_features("vgg19", layers, folder, pooling="average")
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -82,6 +85,22 @@ class Perceptual(nn.Module):
         """Features of images [B, 3, H, W] in [0, 1]; per layer, [B, C, h, w]."""
         features: list[Tensor] = self.network(image.contiguous(memory_format=torch.channels_last))
         return features
+
+    @functools.cached_property
+    def scale(self) -> float:
+        """How large features are beside the paper's, by relu1_2; 1 where that is not the first layer.
+
+        L_GAN is weighted by it, so that λ means what it does in the paper: weights that were trained
+        otherwise give features, and an L_rec, of another size.
+        """
+        if self.layers[0] != PAPER_LAYERS[0]:
+            return 1.0
+        square = torch.arange(64) // 8
+        board = ((square[:, None] + square) % 2 * 0.5 + 0.25).expand(1, 3, 64, 64)
+        with torch.no_grad():
+            device = next(self.network.parameters()).device
+            feature = self.features(board.to(device, torch.float32))[0]
+        return float(feature.abs().mean()) / PAPER_FEATURE
 
     def distance(
         self, features: Sequence[Tensor], target: Sequence[Tensor], mask: Tensor | None = None

@@ -21,7 +21,8 @@ class Stage:
         network: train the whole model; otherwise only the colour on the mesh.
         perceptual: weight of L_rec (paper, equation 4), 0 to leave the feature network out.
         l1: weight of the mean absolute colour difference.
-        adversarial: weight λ of L_GAN (paper, equation 6), 0 to leave the discriminator out.
+        adversarial: weight λ of L_GAN (paper, equation 6), 0 to leave the discriminator out; beside L_rec it
+            is scaled as L_rec is (`Perceptual.scale`).
         descriptor_rate: learning rate of the descriptors at the stage's start.
         network_rate: learning rate of the network at the stage's start.
         decay: linear decay to zero at the stage's end; otherwise constant.
@@ -110,9 +111,8 @@ class TrainConfig:
 
 
 NETWORK = (16, 32, 64, 128, 256)
-# The paper's λ is 1 beside an L_rec whose images are scaled by 255; here they are divided by ImageNet's
-# deviation, 0.226 on average, and L_rec is smaller by 255 · 0.226.
-ADVERSARIAL = 1 / 57.6
+# Beside L1 alone, which is smaller than L_rec by three orders of magnitude.
+BESIDE_L1 = 1e-3
 # Share of steps at artificial views; the paper does not state it.
 ARTIFICIAL_VIEWS = 0.25
 VGG_TO_RELU3 = "vgg19:relu1_2,relu2_2,relu3_1"
@@ -151,7 +151,9 @@ PRESETS: dict[str, TrainConfig] = {
         _rung("split", _split),
         replace(
             _rung("adversarial", _split),
-            stages=tuple(replace(stage, adversarial=ADVERSARIAL) for stage in _ladder_stages),
+            stages=tuple(
+                replace(stage, adversarial=1.0 if stage.perceptual else BESIDE_L1) for stage in _ladder_stages
+            ),
             artificial_views=ARTIFICIAL_VIEWS,
         ),
         TrainConfig(
@@ -163,7 +165,7 @@ PRESETS: dict[str, TrainConfig] = {
                     network=True,
                     perceptual=1.0,
                     l1=0.0,
-                    adversarial=ADVERSARIAL,
+                    adversarial=1.0,
                     descriptor_rate=0.1,
                     network_rate=1e-4,
                     decay=False,

@@ -237,7 +237,8 @@ class Loop:
         stage, member = attempt.stage, attempt.member
         figures = {name: value.item() for name, value in attempt.terms.items()}
         if "adversarial" in figures:
-            figures["adversarial_share"] = stage.adversarial * figures["adversarial"] / figures["loss"]
+            weighted = _lambda(stage, self.perceptual) * figures["adversarial"]
+            figures["adversarial_share"] = weighted / figures["loss"]
         if len(member.validation):
             figures["validation_psnr"] = _validate(member.renderer, member.validation, stage)
         known = {"seconds": self.clock.seconds, "progress": progress, "stage": self.stage}
@@ -309,8 +310,14 @@ def losses(
             terms["loss"] = terms["loss"] + stage.perceptual * terms["perceptual"]
     if stage.adversarial and adversary is not None:
         terms["adversarial"] = adversary.term(image, generator)
-        terms["loss"] = terms["loss"] + stage.adversarial * terms["adversarial"]
+        terms["loss"] = terms["loss"] + _lambda(stage, perceptual) * terms["adversarial"]
     return terms
+
+
+def _lambda(stage: Stage, perceptual: PerceptualTerm | None) -> float:
+    """Weight of L_GAN: beside L_rec, in units of its size."""
+    beside = perceptual if stage.perceptual else None
+    return stage.adversarial * (1.0 if beside is None else beside.loss.scale)
 
 
 @torch.no_grad()
