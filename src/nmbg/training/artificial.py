@@ -120,14 +120,20 @@ class ArtificialCameras:
         return between
 
     def _facts(self, sight: Sight) -> tuple[float, float, float]:
-        """Of a sight: the share of covered pixels, the share of backs among these, the least depth."""
+        """Of a sight: the share of covered pixels, of these the share that see backs, the least depth."""
         covered = sight.covered
         if not covered.any():
             return 0.0, 0.0, 0.0
-        faces = self.scene.mesh.faces[sight.face[covered].numpy()]
+        seen = sight.face[covered].numpy()
+        # The far shell has no inside to be in.
+        faces = self.scene.mesh.faces[seen[seen < len(self.scene.mesh.faces) - self.scene.shell_faces]]
         a, b, c = self.scene.mesh.vertices[faces].astype(np.float64).transpose(1, 0, 2)
         facing = (np.cross(b - a, c - a) * (sight.camera.centre - a)).sum(1)
-        return float(covered.float().mean()), float((facing < 0).mean()), float(sight.depth[covered].min())
+        return (
+            float(covered.float().mean()),
+            float((facing < 0).sum()) / len(seen),
+            float(sight.depth[covered].min()),
+        )
 
     def _hidden(self, place: Array) -> bool:
         """Whether every training view that would see a place sees a surface before it."""
