@@ -12,6 +12,7 @@ import trimesh
 from nmbg.cameras import Camera, foreground_sphere, up_axis
 from nmbg.mesh import Mesh
 from nmbg.scene import Scene, View
+from nmbg.sight import look
 from nmbg.training.artificial import SHELL, ArtificialCameras
 from nmbg.training.camera_picture import camera_picture
 
@@ -133,3 +134,16 @@ def test_the_picture_shows_every_camera_from_two_sides(ring: Scene) -> None:
     assert picture.startswith("<svg")
     assert picture.count('fill="#d22"') == 2 * 7
     assert picture.count('fill="#555"') == 2 * 12
+
+
+def test_the_far_shell_has_no_back(ring: Scene) -> None:
+    """A shell that faces outwards is seen from within by every camera, and tells nothing about its place."""
+    things = len(trimesh.creation.icosphere(subdivisions=2, radius=1.0).faces)
+    faces = ring.mesh.faces.copy()
+    faces[things:] = faces[things:, ::-1]
+    outward = replace(ring, mesh=replace(ring.mesh, faces=faces))
+    artificial = ArtificialCameras(outward)
+    sight = look(outward.mesh, outward.train[0].camera)
+    assert artificial._facts(sight)[1] > 0.5
+    artificial.scene = replace(outward, shell_faces=len(faces) - things)
+    assert artificial._facts(sight)[1] == 0
