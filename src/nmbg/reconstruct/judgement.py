@@ -65,7 +65,7 @@ def score(gallery: Gallery, judged: Sequence[int], backgrounds: Sequence[Mesh]) 
             camera, truth, inside, depth = hung.view(place[i])
             image, known = predict(hung, place[i], [place[j] for j in sources[row]], texels)
             behind = depth < bare.view(place[i])[3]
-            unknown = torch.where(behind[..., None], shade(background, camera), mean)
+            unknown = torch.where(behind[..., None], shade(background, camera)[0], mean)
             image = torch.where(known[..., None] > 0, image, unknown)
             error = (image - truth.float())[inside].square().mean().item()
             psnr[row, column] = -10 * np.log10(max(error, 1e-6) / 255**2)

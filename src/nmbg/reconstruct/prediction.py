@@ -43,15 +43,17 @@ def predict(
     return 255 * blend.colour.permute(1, 2, 0), blend.weight
 
 
-def shade(mesh: Mesh, camera: Camera) -> Tensor:
-    """The colours of a mesh as a camera sees them, [H, W, 3] float32 of 255; 0 where it sees none."""
+def shade(mesh: Mesh, camera: Camera) -> tuple[Tensor, Tensor]:
+    """The colours of a mesh as a camera sees them, [H, W, 3] float32 of 255, and where it sees it, [H, W]."""
     if not len(mesh.faces):
-        return torch.zeros(camera.height, camera.width, 3)
+        image = torch.zeros(camera.height, camera.width, 3)
+        return image, torch.zeros(image.shape[:2], dtype=torch.bool)
     faces = torch.from_numpy(mesh.faces)
     h = camera.project(torch.from_numpy(mesh.vertices))
     face, bary, _ = rasterize_faces(h, faces, camera.height, camera.width)
     corners = torch.from_numpy(mesh.colours)[faces[face.clamp(min=0).long()].long()]
-    return (bary[..., None] * corners).sum(-2) * (face >= 0)[..., None]
+    covered = face >= 0
+    return (bary[..., None] * corners).sum(-2) * covered[..., None], covered
 
 
 def _seen(gallery: Gallery, i: int) -> Tensor:

@@ -108,7 +108,7 @@ def resume_together(run: Path, weights: Path | None = None) -> Path:
     state, optimisers = checkpoint.load_progress(found), checkpoint.load_optimisers(found)
     clock = Clock(state.seconds)
     company = _Company.of(run, scenes, config)
-    company.steps = {name: state.scenes[name] for name in company.steps}
+    company.written = {name: state.scenes[name] for name in company.written}
     checkpoint.load_module(found, "network", company.bare)
     perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *company.smallest)
     if adversary is not None and "adversary" in optimisers:
@@ -140,8 +140,6 @@ class _Company:
 
     Args:
         run: run folder.
-        names: of the scenes of this process.
-        counts: their training views.
         smallest: least width and height of a view of any scene.
         config: how they are trained.
         scenes: folders of this process's scenes.
@@ -151,19 +149,20 @@ class _Company:
         self,
         run: Path,
         scenes: Mapping[str, Path],
-        counts: list[int],
         smallest: tuple[int, int],
         config: TrainConfig,
     ) -> None:
         self.run, self.scenes, self.names, self.config = run, scenes, list(scenes), config
-        self.counts, self.length, self.smallest = counts, 0, smallest
+        self.smallest = smallest
+        # Known when the scenes' folders are complete: share().
+        self.counts: list[int] = []
+        self.length = 0
         torch.manual_seed(config.seed)
         network = make_network(config.model)
         assert network is not None  # _check
         self.bare: nn.Module = network.to(config.device)
         self.network: nn.Module | None = self.bare
-        self.steps = dict.fromkeys(self.names, 0)  # of each scene's own checkpoint that is valid
-        self._written = dict(self.steps)
+        self.written = dict.fromkeys(self.names, 0)  # steps of each scene's own checkpoint that is valid
         self._loaded: dict[str, Member] = {}
 
     @staticmethod
@@ -180,7 +179,6 @@ class _Company:
         return _Company(
             run,
             {names[i]: scenes[names[i]] for i in mine},
-            [counts[i] for i in mine],
             (width, height),
             config,
         )
@@ -188,13 +186,12 @@ class _Company:
     def share(self) -> None:
         """From now on the network's gradients are averaged; the scenes' folders are complete."""
         self.network = processes.shared(self.bare)
-        for i, (name, folder) in enumerate(self.scenes.items()):
+        for name, folder in self.scenes.items():
             scene = checkpoint.load_views(self.run / SCENES / name, Scene.load(folder))
-            self.counts[i] = len(split_training(scene, self.config)[0])
+            self.counts.append(len(split_training(scene, self.config)[0]))
         share = self.config.artificial_views
         (length,) = processes.largest([sum(count + extra_steps(count, share) for count in self.counts)])
         self.length = int(length)
-        self._written = dict(self.steps)
 
     def begin(self, run: Path) -> None:
         """Write the scenes' folders below that of a run, up to their first checkpoints."""
@@ -213,7 +210,7 @@ class _Company:
         member = self._loaded.pop(name, None)
         if member is None:
             folder = self.run / SCENES / name
-            at = folder / "checkpoints" / f"{self._written[name]:08d}"
+            at = folder / "checkpoints" / f"{self.written[name]:08d}"
             share = replace(self.config, cache_gib=self.config.cache_gib / len(self.names))
             member = Member.load(folder, share, self.network, at)
         self._loaded[name] = member  # the last one looked at
@@ -227,14 +224,13 @@ class _Company:
         for name, member in self._loaded.items():
             self._write(name, member)
         processes.average_buffers(self.bare)
-        steps = {name: step for part in processes.gathered(self._written) for name, step in part.items()}
+        steps = {name: step for part in processes.gathered(self.written) for name, step in part.items()}
         if processes.rank() == 0:
             modules = {"network": self.bare}
             whole = checkpoint.save_checkpoint(self.run, replace(progress, scenes=steps), modules, optimisers)
             checkpoint.drop_others(whole)
         processes.wait()
-        self.steps = dict(self._written)
-        for name, step in self.steps.items():
+        for name, step in self.written.items():
             own = self.run / SCENES / name / "checkpoints" / f"{step:08d}"
             checkpoint.save_module(own, "network", self.bare)
             checkpoint.drop_others(own)
@@ -243,8 +239,8 @@ class _Company:
         return sum(member.nbytes for member in self._loaded.values())
 
     def _write(self, name: str, member: Member) -> None:
-        if member.steps > self._written[name]:
+        if member.steps > self.written[name]:
             modules = {"descriptors": member.renderer.descriptors, "network": self.bare}
             progress = Progress(step=member.steps, stage=member.stage)
             checkpoint.save_checkpoint(member.folder, progress, modules, {"descriptors": member.states})
-            self._written[name] = member.steps
+            self.written[name] = member.steps

@@ -6,6 +6,7 @@ not count. One that differs far more than the others do teaches nothing and spoi
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,6 @@ from nmbg.images import resize
 from nmbg.reconstruct.coverage import mask_at
 from nmbg.reconstruct.prediction import shade
 from nmbg.scene import Scene
-from nmbg.sight import look
 
 # Longer side of the images that are compared, pixels.
 SIZE = 240
@@ -43,14 +43,13 @@ def doubtful(scene: Scene) -> dict[str, str]:
     difference, covered = np.zeros(len(views)), np.zeros(len(views))
     for i, view in enumerate(views):
         camera = view.camera.within(SIZE)
-        counted = look(scene.mesh, camera).covered & torch.from_numpy(mask_at(scene.load_mask(view), camera))
+        colour, counted = shade(scene.mesh, camera)
+        counted &= torch.from_numpy(mask_at(scene.load_mask(view), camera))
         covered[i] = counted.float().mean()
         if covered[i] < LEAST_COVERED:
             continue
         image = torch.from_numpy(resize(scene.load_image(view), camera.width, camera.height))
-        image = image.permute(2, 0, 1) / 255
-        colour = shade(scene.mesh, camera).permute(2, 0, 1) / 255
-        difference[i] = 1 - _correlation(image[:, counted], colour[:, counted])
+        difference[i] = 1 - _correlation(image[counted].T, colour[counted].T)
     sees = covered >= LEAST_COVERED
     median = float(np.median(difference[sees])) if sees.any() else 0.0
     spread = 1.4826 * float(np.median(np.abs(difference[sees] - median))) if sees.any() else 0.0
@@ -73,7 +72,7 @@ def _correlation(a: Tensor, b: Tensor) -> float:
     return float((a * b).sum() / (a.norm() * b.norm()).clamp(min=1e-9))
 
 
-def without(scene: Scene, names: set[str] | dict[str, str]) -> Scene:
+def without(scene: Scene, names: Container[str]) -> Scene:
     """A scene without some of its training views."""
     kept = tuple(view for view in scene.views if view.split != "train" or view.name not in names)
     return replace(scene, views=kept)

@@ -20,7 +20,6 @@ from nmbg.reconstruct.poses import refine_poses
 from nmbg.reconstruct.prediction import shade
 from nmbg.reconstruct.refinement import refine_geometry, views_for
 from nmbg.scene import Scene, View
-from nmbg.sight import look
 from nmbg.training import checkpoint
 from nmbg.training.artificial import ArtificialCameras
 from nmbg.training.camera_picture import camera_picture
@@ -177,11 +176,11 @@ def fit_exposures(scene: Scene, views: Sequence[View]) -> Exposures:
     values = []
     for view in views:
         camera, mask = view.camera, scene.load_mask(view)
-        counted = look(scene.mesh, camera).covered
+        colour, counted = shade(scene.mesh, camera)
         if mask is not None:
             counted &= torch.from_numpy(mask)
         image = torch.from_numpy(scene.load_image(view)).permute(2, 0, 1) / 255
-        values.append(fit_exposure(image, shade(scene.mesh, camera).permute(2, 0, 1) / 255, counted))
+        values.append(fit_exposure(image, colour.permute(2, 0, 1) / 255, counted))
     centres = np.stack([view.camera.centre for view in views])
     return Exposures(tuple(view.name for view in views), centres, tuple(values))
 
