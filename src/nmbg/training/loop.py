@@ -6,7 +6,7 @@ import functools
 import operator
 import signal
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +29,7 @@ from nmbg.training.log import COLUMNS, Log
 from nmbg.training.member import Member
 from nmbg.training.optimiser import Part, descend, differentiate, network_part
 from nmbg.training.schedule import Schedule
+from nmbg.training.statistics import VIEWS, renew_statistics
 from nmbg.training.targets import PerceptualTerm
 from nmbg.training.views import Example, Views
 
@@ -151,8 +152,10 @@ class Loop:
                     self._leave_out(attempt, finite)
                 else:
                     self._descend(attempt, done)
-                    if int(REPORTS * progress) > int(REPORTS * before) or progress >= 1:
-                        self._report(log, progress, attempt)
+                if progress >= 1:
+                    self._renew_statistics(attempt.stage)
+                if not bad and (int(REPORTS * progress) > int(REPORTS * before) or progress >= 1):
+                    self._report(log, progress, attempt)
                 bar.update(task, completed=100 * progress)
                 if due and not stop and progress < 1:
                     self.save()
@@ -214,6 +217,23 @@ class Loop:
             photograph = _photograph(attempt)
             loss = self.adversary.learn(attempt.image, photograph, attempt.random)
             attempt.terms["discriminator"] = loss
+
+    def _renew_statistics(self, stage: Stage) -> None:
+        """Give the trained network the statistics of the views that it was trained on."""
+
+        def shows() -> Iterator[Callable[[], Tensor]]:
+            for scene in range(len(self.crew.counts)):
+                member = self.crew.member(scene)
+                for example in member.training.spread(VIEWS):
+                    yield functools.partial(self._show, member, stage, example)
+
+        if self.crew.network is not None:
+            renew_statistics(self.crew.network, shows())
+
+    @torch.no_grad()
+    def _show(self, member: Member, stage: Stage, example: Example) -> Tensor:
+        with torch.autocast(self.config.device, torch.bfloat16, enabled=self.config.bf16):
+            return render(member.renderer, stage, example)
 
     def _leave_out(self, attempt: Attempt, finite: bool) -> None:
         """Let a step not have been; `finite` where it is another process that has to."""

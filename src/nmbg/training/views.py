@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -90,6 +90,11 @@ class Views:
             self._free -= example.nbytes
             self._cache[i] = example
         return example
+
+    def spread(self, count: int) -> Iterator[Example]:
+        """Whole frames of at most so many views, evenly spread."""
+        count = min(count, len(self))
+        return (self.frame((i * len(self)) // count) for i in range(count))
 
     def crop(self, i: int, share: float, multiple: int, generator: torch.Generator) -> Example:
         """A random window of the whole frame of view i, at whole pixels; for what photographs show alone.
