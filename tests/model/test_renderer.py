@@ -3,10 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 
 from nmbg.cameras import Camera
 from nmbg.mesh import Mesh
 from nmbg.model.config import ModelConfig
+from nmbg.model.descriptors import SH_CONSTANT
 from nmbg.model.renderer import Renderer
 from nmbg.ops import rasterize_faces, rasterize_points, shade_faces, shade_points
 
@@ -132,3 +134,18 @@ def test_config_refuses_nonsense() -> None:
 def test_point_radius_of_the_paper(size: tuple[int, int], radius: float) -> None:
     assert ModelConfig().radius_px(*size) == pytest.approx(radius)
     assert ModelConfig(point_radius=None).radius_px(*size) == 0.5
+
+
+def test_colour_of_points_alone_has_no_holes(bumpy: Mesh, camera: Camera) -> None:
+    config = ModelConfig(degree=0, faces=False, point_radius=None, point_weight=False, colour_skip=True)
+    renderer = Renderer(config, [bumpy]).eval()
+    renderer.set_colours([torch.full((len(bumpy.vertices), 1, 3), 0.9 / SH_CONSTANT)])
+    h = camera.project(torch.from_numpy(bumpy.vertices))
+    face, _, _ = rasterize_faces(h, torch.from_numpy(bumpy.faces), camera.height, camera.width)
+    inside = F.max_pool2d((face < 0).float()[None], 9, stride=1, padding=4)[0] == 0
+    fragments = renderer.rasterize(camera)
+    index = fragments[0].levels[0].index
+    assert index is not None
+    assert bool((index[: camera.height, : camera.width][inside] < 0).any())
+    image = renderer(fragments, camera)[:, inside]
+    torch.testing.assert_close(image, torch.full_like(image, 0.9))

@@ -23,7 +23,8 @@ class ModelConfig:
         widths: channels of the U-Net per level (paper: 16, 32, 64, 128, 256); empty: no network.
         norm: BatchNorm in the encoders (paper), or none.
         mask_channel: tell the network where each layer is covered.
-        colour_skip: image = rendered colour + network, whose last convolution starts at zero.
+        colour_skip: image = rendered colour + network, whose last convolution starts at zero. Where points
+            alone are rasterized, coarser levels fill their holes.
         supersample: s × s samples a pixel, averaged; with s > 1 the coarser levels are averages of the finest
             one instead of being rasterized anew. Faces only.
         sources: photographs blended in a pixel, over the colour on the mesh; 0 leaves them out. A network
@@ -51,10 +52,14 @@ class ModelConfig:
             raise ValueError(f"supersample: expected 1, 2, 4 or 8, got {self.supersample}")
         if self.supersample > 1 and self.points:
             raise ValueError("points have a radius in pixels and are not supersampled; leave one out")
-        if not self.widths and not self.colour_skip:
-            raise ValueError("a model without a network shows the rendered colour: colour_skip must be set")
-        if self.colour_skip and (not self.faces or self.features < 3):
-            raise ValueError(f"colour_skip needs faces and 3 features; got {self.features}")
+        if not self.widths and not (self.colour_skip and self.faces):
+            raise ValueError("a model without a network shows the colour of faces: set faces and colour_skip")
+        if self.colour_skip and self.features < 3:
+            raise ValueError(f"colour_skip needs 3 features; got {self.features}")
+        if self.colour_skip and not self.faces and self.layers > 1:
+            raise ValueError(
+                "colour_skip: the colour of points alone has no outline that could hide a background"
+            )
         if self.sources and (self.points or self.layers > 1 or self.features != 3 or not self.colour_skip):
             raise ValueError("photographs add to the colour of one layer of faces: 3 features, no points")
 

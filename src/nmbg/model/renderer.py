@@ -14,7 +14,7 @@ from nmbg.mesh import Mesh
 from nmbg.model.config import ModelConfig
 from nmbg.model.descriptors import SH_CONSTANT, Descriptors
 from nmbg.model.exposure import Exposures
-from nmbg.model.fragments import LayerFragments, rasterize_finest, rasterize_layer
+from nmbg.model.fragments import LayerFragments, LevelFragments, rasterize_finest, rasterize_layer
 from nmbg.model.photographs import NOTHING, Gathered, Photographs, count_features
 from nmbg.model.unet import UNet
 from nmbg.scene import Scene, View
@@ -132,11 +132,11 @@ class Renderer(nn.Module):
 
     def _composite(self, pyramids: list[list[Tensor]], fragments: list[LayerFragments]) -> Tensor:
         """Finest colours of all layers, nearest layer first."""
+        if not self.config.faces:
+            pyramids = [_without_holes(p, layer) for p, layer in zip(pyramids, fragments, strict=True)]
         image = pyramids[-1][0][:, :3]
         for levels, layer in zip(pyramids[-2::-1], fragments[-2::-1], strict=True):
-            face = layer.levels[0].face
-            assert face is not None  # colour needs faces: ModelConfig
-            covered = (face >= 0).float()[None, None].to(image.device)
+            covered = _covered(layer.levels[0]).to(image.device)
             s = self.config.supersample
             alpha = F.avg_pool2d(covered, s) if s > 1 else covered
             image = levels[0][:, :3] + (1 - alpha) * image
@@ -177,6 +177,22 @@ def make_network(config: ModelConfig) -> UNet | None:
         results=3 + config.sources,
     )
     return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
+
+
+def _without_holes(levels: list[Tensor], layer: LayerFragments) -> list[Tensor]:
+    """The finest features, with those of the next coarser level that has some where points leave holes."""
+    image = levels[-1]
+    for finer, level in zip(levels[-2::-1], layer.levels[-2::-1], strict=True):
+        image = F.interpolate(image, scale_factor=2, mode="bilinear", align_corners=False)
+        image = torch.where(_covered(level).to(image.device) > 0, finer, image)
+    return [image]
+
+
+def _covered(level: LevelFragments) -> Tensor:
+    """1 where something is seen, [1, 1, H, W] float32."""
+    index = level.face if level.face is not None else level.index
+    assert index is not None
+    return (index >= 0).float()[None, None]
 
 
 def _centred(coeffs: Tensor) -> Tensor:
