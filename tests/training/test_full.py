@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -209,10 +209,10 @@ def test_a_scene_removed_between_runs_is_named(scenes: list[Path], tmp_path: Pat
         resume_together(tmp_path / "run")
 
 
-def start(*words: object) -> "subprocess.Popen[str]":
+def start(*words: object, program: Sequence[str] = ("-m", "nmbg")) -> "subprocess.Popen[str]":
     """`torchrun nmbg train` in two processes of one thread each."""
     launcher = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2"]
-    rest = ["--rdzv-backend", "c10d", "--rdzv-endpoint", "localhost:0", "-m", "nmbg", "train"]
+    rest = ["--rdzv-backend", "c10d", "--rdzv-endpoint", "localhost:0", *program, "train"]
     return subprocess.Popen(
         [*launcher, *rest, *map(str, words)],
         stdout=subprocess.PIPE,
@@ -222,8 +222,8 @@ def start(*words: object) -> "subprocess.Popen[str]":
     )
 
 
-def torchrun(*words: object) -> "subprocess.CompletedProcess[str]":
-    process = start(*words)
+def torchrun(*words: object, **options: Any) -> "subprocess.CompletedProcess[str]":
+    process = start(*words, **options)
     out, err = process.communicate(timeout=300)
     return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
@@ -268,6 +268,22 @@ def test_more_processes_than_scenes_are_refused(scenes: list[Path], tmp_path: Pa
     assert result.returncode != 0
     assert "2 processes for 1 scene" in result.stderr
     assert not (tmp_path / "run").exists()
+
+
+def test_processes_that_were_given_different_scenes_are_refused(scenes: list[Path], tmp_path: Path) -> None:
+    shutil.copytree(scenes[1], tmp_path / "other")
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import os, sys\n"
+        "from nmbg.cli import main\n"
+        f"if os.environ['RANK'] == '1': sys.argv[2] = {str(tmp_path / 'other')!r}\n"
+        "main()\n"
+    )
+    run = tmp_path / "run"
+    result = torchrun(*scenes, *OPTIONS, "--iterations", 6, "--output", run, program=[str(program)])
+    assert result.returncode != 0
+    assert "the processes were given different scenes" in result.stderr
+    assert not run.exists()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for the processes in /proc")

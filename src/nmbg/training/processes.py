@@ -7,6 +7,7 @@ one process. What decides how training goes on is agreed upon at every step.
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
@@ -57,7 +58,11 @@ def shared(module: nn.Module) -> nn.Module:
     if size() == 1:
         return module
     # Statistics of BatchNorm are averaged where they are written down, not at every step.
-    return DistributedDataParallel(module, broadcast_buffers=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", FutureWarning
+        )  # newer releases rename the option, older lack the name
+        return DistributedDataParallel(module, broadcast_buffers=False)
 
 
 def bare(module: nn.Module) -> nn.Module:
