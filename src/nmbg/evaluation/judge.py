@@ -53,17 +53,17 @@ def judge(
     """
     suffix = result_suffix(split)
     shown = set(np.linspace(0, len(views) - 1, min(SHEET_ROWS, len(views))).round().astype(int).tolist())
+    names = dict(zip((view.name for view in views), render_names(views), strict=True))
     values: dict[str, dict[str, float]] = {}
     rows: list[Row] = []
     counts = np.zeros((2, 3, 256), dtype=np.int64)
     with atomic_folder(folder / f"renders{suffix}", overwrite=True) as renders, progress_bar() as bar:
-        names = bar.track(render_names(views), description="judging")
-        for i, (view, name) in enumerate(zip(views, names, strict=True)):
+        for i, view in enumerate(bar.track(views, description="judging")):
             estimate, target, mask = _masked(scene, view, render(view))
             measured = {m.name: m.compute(_to_tensor(estimate), _to_tensor(target)) for m in measures}
             values[view.name] = measured
             counts += [colour_histogram(image, mask) for image in (estimate, target)]
-            _write_pair(renders / name, estimate, target)
+            _write_pair(renders / names[view.name], estimate, target)
             if i in shown:
                 rows.append(view_row(_label(view, measured), estimate, target))
     with atomic_file(folder / f"sheet{suffix}.png") as picture:
@@ -78,6 +78,7 @@ def judge(
         "geometry": _geometry(scene),
         "mean": {m.name: statistics.fmean(v[m.name] for v in values.values()) for m in measures},
         "views": values,
+        "renders": names,
         "colours": dict(zip(CHANNELS, histogram_distance(*counts).tolist(), strict=True)),
     }
 

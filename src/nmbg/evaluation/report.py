@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -17,11 +16,9 @@ from nmbg.evaluation.charts import Axis, Series, chart, figure
 from nmbg.evaluation.features import feature_panels
 from nmbg.evaluation.figures import ERROR_RANGE, error_map
 from nmbg.evaluation.histograms import CHANNELS, read_histograms
-from nmbg.evaluation.judge import render_names
 from nmbg.evaluation.published import TABLES, differences, our_rows, recognise
-from nmbg.evaluation.results import Report, result_suffix
+from nmbg.evaluation.results import Report, read_pair, result_suffix
 from nmbg.evaluation.tables import format_cost, format_metric
-from nmbg.images import read_image
 from nmbg.scene import Scene, View
 from nmbg.training.checkpoint import CONFIG, Run
 
@@ -69,18 +66,6 @@ def by_error(report: Report, scene: Scene) -> list[View]:
     sign = 1 if higher_is_better(name) else -1
     judged = [view for view in scene.views if view.name in report.views]
     return sorted(judged, key=lambda view: sign * report.views[view.name][name])
-
-
-def read_pair(folder: Path, report: Report, name: str) -> tuple[Any, Any]:
-    """Render and photograph of a view [H, W, 3] uint8, masked as they were judged.
-
-    Args:
-        folder: of the result.
-        report: what was measured.
-        name: of the render, without suffix (`render_names`).
-    """
-    renders = folder / f"renders{result_suffix(report.split)}"
-    return read_image(renders / f"{name}.png"), read_image(renders / f"{name}.target.png")
 
 
 def _about(report: Report) -> str:
@@ -145,13 +130,12 @@ def _capacity(folder: Path) -> str:
 
 def _extremes(folder: Path, report: Report, views: Sequence[View]) -> str:
     """The worst and the best views; where there are few, every view once."""
-    names = dict(zip((view.name for view in views), render_names(views), strict=True))
     worst = views[:EXTREMES]
     best = views[max(len(worst), len(views) - EXTREMES) :]
     parts = []
     for kind, shown in (("Worst", worst), ("Best", best[::-1])):
         for view in shown:
-            render, truth = read_pair(folder, report, names[view.name])
+            render, truth = read_pair(folder, report, view.name)
             told = ", ".join(f"{m} {format_metric(m, report.views[view.name][m])}" for m in report.settings)
             items = [(f"{view.name}: {told}", render), ("photograph", truth)]
             parts.append(html.pictures([*items, ("error", error_map(render, truth))], 380))

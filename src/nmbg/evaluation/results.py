@@ -10,6 +10,7 @@ from typing import Any
 
 from nmbg.atomic import atomic_file
 from nmbg.errors import NmbgError
+from nmbg.images import Image, read_image
 from nmbg.scene import Split
 
 
@@ -28,6 +29,7 @@ class Report:
         geometry: where the geometry came from.
         mean: per metric, the mean over the views.
         views: per view, its metrics, and the seconds it took to render where that was measured here.
+        renders: per view, its picture below renders/, without suffix; the photograph's ends in .target.
         colours: per channel, distance between the colour histograms of renders and photographs, grey levels.
         seconds_per_frame: median over the views, after one frame to warm up; None where it is not known.
         train_seconds: time to train; None where it is not known.
@@ -46,6 +48,7 @@ class Report:
     geometry: str
     mean: dict[str, float]
     views: dict[str, dict[str, float]]
+    renders: dict[str, str]
     colours: dict[str, float]
     seconds_per_frame: float | None
     train_seconds: float | None
@@ -79,6 +82,20 @@ def read_results(folder: Path, split: Split = "test") -> Report:
         return Report(**{**vars(report), "mean": _infinite(report.mean), "views": _infinite(report.views)})
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise NmbgError(f"{path}: damaged or of another version; run nmbg eval again") from error
+
+
+def read_pair(folder: Path, report: Report, view: str) -> tuple[Image, Image]:
+    """Render and photograph of a view, [H, W, 3] uint8, masked as they were judged.
+
+    Args:
+        folder: of the result.
+        report: what was measured.
+        view: name of the view.
+    """
+    base = folder / f"renders{result_suffix(report.split)}" / report.renders[view]
+    return read_image(base.with_name(f"{base.name}.png")), read_image(
+        base.with_name(f"{base.name}.target.png")
+    )
 
 
 def _path(folder: Path, split: Split) -> Path:
