@@ -78,6 +78,10 @@ def make_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., S
         )
         monkeypatch.setattr("nmbg.evaluation.evaluate.load_run", lambda folder, device: run)
         monkeypatch.setattr("nmbg.evaluation.evaluate.load_views", lambda folder, scene: scene)
+        monkeypatch.setattr(
+            "nmbg.evaluation.evaluate.run_cost", lambda folder: {"train_seconds": 60.0, "megabytes": 1.5}
+        )
+        monkeypatch.setattr("nmbg.evaluation.report.feature_panels", lambda *_: [])
         monkeypatch.setattr(Scene, "load", lambda folder: made)
         return run
 

@@ -56,10 +56,11 @@ def test_metrics_are_named_in_any_way(parsed, arguments, metrics):
 
 def test_options_reach_evaluate(parsed, tmp_path):
     _, call = parsed(
-        f"run --metrics lpips --lpips-net squeeze --weights {tmp_path} --split train --device cpu"
+        f"run --metrics lpips --lpips-net squeeze --weights {tmp_path} --split train --device cpu "
+        "--table dtu65"
     )
     assert call is not None
-    assert call[1:] == (("lpips",), "squeeze", tmp_path, "train", "cpu")
+    assert call[1:] == (("lpips",), "squeeze", tmp_path, "train", "cpu", "dtu65")
 
 
 @pytest.mark.parametrize(

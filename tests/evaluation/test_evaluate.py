@@ -12,7 +12,8 @@ from rich.console import Console
 
 from nmbg import __version__
 from nmbg.errors import NmbgError
-from nmbg.evaluation.evaluate import _names, evaluate
+from nmbg.evaluation.evaluate import evaluate
+from nmbg.evaluation.judge import render_names
 from nmbg.evaluation.metrics import make_metrics
 from nmbg.evaluation.tables import metrics_table
 from nmbg.images import read_image
@@ -129,7 +130,8 @@ def test_evaluating_again_replaces_everything(make_run):
 )
 def test_renders_are_named_after_the_photographs_where_that_is_safe(make_run, photographs, names):
     view = make_run().scene.views[0]
-    assert _names([replace(view, name=name, image=f"{i}.png") for i, name in enumerate(photographs)]) == names
+    views = [replace(view, name=name, image=f"{i}.png") for i, name in enumerate(photographs)]
+    assert render_names(views) == names
 
 
 def test_sheet_shows_all_three_columns(make_run):
@@ -186,5 +188,14 @@ def test_table_shows_views_mean_and_settings(make_run):
     console = Console(width=100, record=True, file=io.StringIO())
     console.print(metrics_table(evaluate(run.folder, ("psnr", "ssim_svs"))))
     text = console.export_text()
-    for part in ("a.jpg", "b.jpg", "mean", "19.83", "data range 2", "s per frame", "geometry: made up"):
+    for part in (
+        "a.jpg",
+        "b.jpg",
+        "mean",
+        "19.83",
+        "data range 2",
+        "per frame (median)",
+        "training 1 minutes",
+        "geometry: made up",
+    ):
         assert part in text

@@ -25,14 +25,12 @@ class Metric:
     Args:
         name: as in metrics.json; LPIPS carries its network.
         settings: what the number depends on, in words.
-        higher_is_better: direction.
         smallest: least width and height of an image, pixels.
         compute: estimate and target [3, H, W] in [0, 1] → value.
     """
 
     name: str
     settings: str
-    higher_is_better: bool
     smallest: int
     compute: Callable[[Tensor, Tensor], float]
 
@@ -169,16 +167,13 @@ def make_metrics(
 
 def _make(name: str, lpips_net: str, weights: Path | None, device: torch.device | None) -> Metric:
     if name == "psnr":
-        return Metric(name, "images in [0, 1], all pixels and channels, dB", True, 1, psnr)
+        return Metric(name, "images in [0, 1], all pixels and channels, dB", 1, psnr)
     if name == "ssim":
-        return Metric(
-            name, "11x11 Gaussian window, sigma 1.5, data range 1, reflected border", True, 11, ssim
-        )
+        return Metric(name, "11x11 Gaussian window, sigma 1.5, data range 1, reflected border", 11, ssim)
     if name == "ssim_svs":
         return Metric(
             name,
             "7x7 uniform window, sample covariance, 3-px border dropped, data range 2 (as FVS, SVS, NMBG)",
-            True,
             7,
             ssim_svs,
         )
@@ -188,7 +183,6 @@ def _make(name: str, lpips_net: str, weights: Path | None, device: torch.device 
         return Metric(
             f"lpips_{lpips_net}",
             f"LPIPS v0.1, {backbone}, images scaled to [-1, 1]",
-            False,
             32,
             lambda a, b: model(a[None].float().to(device), b[None].float().to(device)).item(),
         )
