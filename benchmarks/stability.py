@@ -87,7 +87,9 @@ def main(
                         for metric in ("psnr", "ssim", "lpips_squeeze")
                     }
                     point |= {"severity": severity, "picture": str(sweep.picture(job).relative_to(output))}
-                    curve.setdefault(name, []).append(point)
+                    points = curve.setdefault(name, [])
+                    point["loss"] = (points[0] if points else point)["psnr"] - point["psnr"]
+                    points.append(point)
         curves[stress.name] = curve
     rendered: dict[str, Any] = {}
     if "rendering" in chosen:

@@ -22,23 +22,21 @@ UNITS = {stress.name: stress.unit for stress in (*STRESSES.values(), *RENDERINGS
 
 
 def breaking_point(points: Sequence[dict[str, Any]]) -> float | None:
-    """Severity at which PSNR has fallen by 3 dB, between the measured ones linearly; None where it has not.
+    """Severity at which 3 dB of PSNR are lost, between the measured ones linearly; None where they are not.
 
     Args:
-        points: by severity, the first without stress; those without a PSNR are passed over.
+        points: by severity, the first without stress; those without a loss are passed over.
     """
-    known = [(p["severity"], p["psnr"]) for p in points if p["psnr"] is not None]
-    limit = known[0][1] - LOSS
-    for (low, above), (high, below) in pairwise(known):
-        if below <= limit:
-            return float(low + (high - low) * (above - limit) / (above - below))
+    known = [(p["severity"], p["loss"]) for p in points if p["loss"] is not None]
+    for (low, before), (high, after) in pairwise(known):
+        if after >= LOSS:
+            return float(low + (high - low) * (LOSS - before) / (after - before))
     return None
 
 
 def broken(points: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The first measured point that has lost 3 dB; else the last."""
-    limit = points[0]["psnr"] - LOSS
-    return next((p for p in points if p["psnr"] is not None and p["psnr"] <= limit), points[-1])
+    return next((p for p in points if p["loss"] is not None and p["loss"] >= LOSS), points[-1])
 
 
 def table(results: dict[str, Any]) -> str:
@@ -57,7 +55,12 @@ def table(results: dict[str, Any]) -> str:
     for name, curve in curves.items():
         cells = [_breaking(curve.get(preset, [])) for preset in presets]
         lines.append(f"| {name} | {UNITS[name]} | {' | '.join(cells)} |")
-    lines += ["", "PSNR of held-out views, dB, by severity.", "", head, rule]
+    lines += [
+        "",
+        "What is lost of the PSNR of held-out views, dB, by severity; first the PSNR without stress.",
+        "",
+    ]
+    lines += [head, rule]
     for name, curve in curves.items():
         shown = [_listed(curve.get(preset, [])) for preset in presets]
         scale = " / ".join(f"{point['severity']:g}" for point in max(curve.values(), key=len))
@@ -89,12 +92,13 @@ def _breaking(points: Sequence[dict[str, Any]]) -> str:
     if len(points) < 2:
         return "–"
     at = breaking_point(points)
-    known = [p["severity"] for p in points if p["psnr"] is not None]
+    known = [p["severity"] for p in points if p["loss"] is not None]
     return f"> {known[-1]:g}" if at is None else f"{at:.3g}"
 
 
 def _listed(points: Sequence[dict[str, Any]]) -> str:
-    return " / ".join("–" if p["psnr"] is None else f"{p['psnr']:.2f}" for p in points) or "–"
+    losses = ["–" if p["loss"] is None else f"{p['loss']:.2f}" for p in points[1:]]
+    return " / ".join([f"{points[0]['psnr']:.2f}", *losses]) if points else "–"
 
 
 def draw(results: dict[str, Any], path: Path) -> None:
@@ -114,9 +118,16 @@ def draw(results: dict[str, Any], path: Path) -> None:
     for axis, (name, curve) in zip(axes.flat, curves.items(), strict=False):
         ticks = sorted({p["severity"] for points in curve.values() for p in points})
         for i, preset in enumerate(presets):
-            points = [p for p in curve.get(preset, []) if p["psnr"] is not None]
+            points = [p for p in curve.get(preset, []) if p["loss"] is not None]
             places = [ticks.index(p["severity"]) for p in points]
-            axis.plot(places, [p["psnr"] for p in points], "o-", ms=3, color=f"C{i}", label=preset)
+            axis.plot(
+                places,
+                [points[0]["psnr"] - p["loss"] for p in points],
+                "o-",
+                ms=3,
+                color=f"C{i}",
+                label=preset,
+            )
         axis.set_xticks(range(len(ticks)), [f"{tick:g}" for tick in ticks])
         axis.set_title(name, fontsize=9)
         axis.set_xlabel(UNITS[name], fontsize=7)

@@ -21,7 +21,7 @@ from nmbg.cameras import Camera
 from nmbg.images import resize, write_image
 from nmbg.model.renderer import Renderer
 from nmbg.progress import progress_bar
-from nmbg.scene import Scene, evenly
+from nmbg.scene import Scene, View, evenly
 from nmbg.sight import look
 
 # Held-out views that are looked at, and the share of one that must be seen again for a number.
@@ -121,7 +121,10 @@ RENDERINGS = (
 def measure(
     renderer: Renderer, scene: Scene, rendering: Rendering, folder: Path, finished: bool
 ) -> list[dict[str, Any]]:
-    """PSNR of what held-out views show and the stressed cameras see, too; whether all is finite."""
+    """PSNR of what held-out views show and the stressed cameras see, too; whether all is finite.
+
+    "loss" is beside the PSNR of the same pixels as the photographs' own cameras show them, dB.
+    """
     points = []
     for severity in rendering.severities:
         name = f"{rendering.name.replace(' ', '-')}-{severity:g}"
@@ -135,13 +138,15 @@ def measure(
                 camera, scale = rendering.change(Place(view.camera, middle, scene.radius), severity)
                 image = renderer.render(camera, without={view.name})
                 finite &= bool(torch.isfinite(image).all())
-                values.append(_compare(image, camera, scene.load_image(view), view.camera, scale, scene))
+                values.append(_compare(renderer, image, camera, view, scale, scene))
                 if view is views[len(views) // 2]:
                     folder.mkdir(parents=True, exist_ok=True)
                     write_image(folder / f"{name}.png", _bytes(image.nan_to_num()))
             known = [value for value in values if value is not None]
-            mean = sum(known) / len(known) if known else None
-            return {"severity": severity, "psnr": mean, "finite": finite, "judged": len(known)}
+            psnr, loss = (
+                (sum(each) / len(known) for each in zip(*known, strict=True)) if known else (None, None)
+            )
+            return {"severity": severity, "psnr": psnr, "loss": loss, "finite": finite, "judged": len(known)}
 
         point = _kept(folder / f"{name}.json", compute, finished)
         if point is not None:
@@ -150,20 +155,25 @@ def measure(
 
 
 def _compare(
-    image: Tensor, camera: Camera, photograph: Any, of: Camera, scale: float, scene: Scene
-) -> float | None:
-    """PSNR over what both see, at the resolution of the coarser."""
+    renderer: Renderer, image: Tensor, camera: Camera, view: View, scale: float, scene: Scene
+) -> tuple[float, float] | None:
+    """PSNR over what the photograph shows as well, at the resolution of the coarser; what it loses."""
+    of, photograph = view.camera, scene.load_image(view)
+    own = _bytes(renderer.render(of, without={view.name}))
     if scale > 1:
         small = camera.resized(max(1, round(camera.width / scale)), max(1, round(camera.height / scale)))
         image, camera = _tensor(resize(_bytes(image), small.width, small.height)), small
     elif scale < 1:
         of = of.resized(max(1, round(of.width * scale)), max(1, round(of.height * scale)))
-        photograph = resize(photograph, of.width, of.height)
-    seen_by = look(scene.mesh, camera).depth
-    shown, seen = warped(image, camera, seen_by, of, look(scene.mesh, of).depth)
+        photograph, own = (resize(x, of.width, of.height) for x in (photograph, own))
+    shown, seen = warped(image, camera, look(scene.mesh, camera).depth, of, look(scene.mesh, of).depth)
     if seen.float().mean() < LEAST_SEEN:
         return None
-    return psnr(shown, _tensor(photograph), seen)
+    value = psnr(shown, _tensor(photograph), seen)
+    beside = psnr(_tensor(own), _tensor(photograph), seen)
+    assert value is not None
+    assert beside is not None
+    return value, beside - value
 
 
 def away(renderer: Renderer, scene: Scene, folder: Path, finished: bool) -> dict[str, Any] | None:
