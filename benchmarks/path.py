@@ -9,16 +9,17 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
+from warp import psnr, warped
 
 from nmbg import __version__
 from nmbg.atomic import atomic_file
@@ -32,7 +33,13 @@ from nmbg.sight import look
 from nmbg.training.checkpoint import load_run
 
 SHOWN = 5  # frames of a row of the contact sheet
-DEPTH_TOLERANCE = 0.02
+
+
+class Step(NamedTuple):
+    """Mean absolute difference of a frame and the one before it, and PSNR, dB; None where nothing is seen."""
+
+    difference: float
+    psnr: float | None
 
 
 @click.command()
@@ -60,14 +67,13 @@ def main(runs: tuple[Path, ...], frames: int, first: int, views: int, output: Pa
         renderer = load_run(run).renderer
         with progress_bar() as bar:
             images = [renderer.render(camera) for camera in bar.track(path, description=run.name)]
-        errors = [
-            warped_error(images[i], path[i], depths[i], images[i + 1], path[i + 1], depths[i + 1])
-            for i in range(frames - 1)
-        ]
+        steps = differences(images, path, depths)
+        errors = [step.difference for step in steps]
         results["runs"][run.name] = {
             "mean": float(np.mean(errors)),
             "largest": float(np.max(errors)),
             "largest_over_median": float(np.max(errors) / np.median(errors)),
+            "psnr": float(np.mean([step.psnr for step in steps if step.psnr is not None])),
             "steps": errors,
         }
         shown = np.linspace(0, frames - 1, SHOWN).round().astype(int)
@@ -81,7 +87,7 @@ def main(runs: tuple[Path, ...], frames: int, first: int, views: int, output: Pa
         file.write_text(json.dumps(results, indent=1) + "\n")
     for name, row in results["runs"].items():
         click.echo(
-            f"{name}: mean step {row['mean']:.5f}, largest {row['largest']:.5f} "
+            f"{name}: mean step {row['mean']:.5f}, {row['psnr']:.2f} dB, largest {row['largest']:.5f} "
             f"({row['largest_over_median']:.2f} times the median)"
         )
 
@@ -99,25 +105,14 @@ def smooth_path(cameras: list[Camera], frames: int) -> list[Camera]:
     return path
 
 
-def warped_error(
-    before: Tensor, camera: Camera, depth: Tensor, after: Tensor, next_camera: Camera, next_depth: Tensor
-) -> float:
-    """Mean absolute difference of a frame [3, H, W] and the one before, warped, where both see a point."""
-    warp = torch.from_numpy(next_camera.warp_to(camera)).float()
-    y, x = torch.meshgrid(
-        torch.arange(next_camera.height) + 0.5, torch.arange(next_camera.width) + 0.5, indexing="ij"
-    )
-    rays = torch.stack([x, y, torch.ones_like(x)], -1) @ warp[:, :3].T
-    points = next_depth[..., None] * rays + warp[:, 3]
-    h = points @ torch.from_numpy(camera.K).float().T
-    z = h[..., 2].clamp(min=1e-6)
-    grid = 2 * h[..., :2] / z[..., None] / torch.tensor([camera.width, camera.height]) - 1
-    fetched = F.grid_sample(
-        torch.cat([before, depth[None]])[None], grid[None], padding_mode="border", align_corners=False
-    )[0]
-    inside = (grid.abs() < 1).all(-1) & (next_depth > 0)
-    seen = inside & ((fetched[3] - z).abs() < DEPTH_TOLERANCE * z)
-    return float((after - fetched[:3]).abs().mean(0)[seen].mean())
+def differences(images: Sequence[Tensor], path: Sequence[Camera], depths: Sequence[Tensor]) -> list[Step]:
+    """How each frame of a path differs from the one before, warped, where both see a point."""
+    steps = []
+    for i in range(len(images) - 1):
+        before, seen = warped(images[i], path[i], depths[i], path[i + 1], depths[i + 1])
+        mean = float((images[i + 1] - before).abs().mean(0)[seen].mean())
+        steps.append(Step(mean, psnr(images[i + 1], before, seen)))
+    return steps
 
 
 if __name__ == "__main__":

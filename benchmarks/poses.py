@@ -23,28 +23,13 @@ import click
 import numpy as np
 from record import cell, command, provenance, write
 from scipy.spatial.transform import Rotation
+from stress.cameras import disturbed
 
-from nmbg.cameras import Camera
 from nmbg.evaluation.evaluate import evaluate
 from nmbg.scene import Scene
 from nmbg.training.checkpoint import load_views
 from nmbg.training.config import PRESETS
 from nmbg.training.trainer import train
-
-
-def disturbed(scene: Scene, degrees: float, share: float, seed: int) -> Scene:
-    """The scene with training cameras turned by so many degrees and moved by this share of the radius."""
-    rng = np.random.default_rng(seed)
-
-    def moved(camera: Camera) -> Camera:
-        axis, direction = (x / np.linalg.norm(x) for x in rng.normal(size=(2, 3)))
-        R = Rotation.from_rotvec(np.radians(degrees) * axis).as_matrix() @ camera.R
-        return replace(camera, R=R, t=-R @ (camera.centre + share * scene.radius * direction))
-
-    return replace(
-        scene,
-        views=tuple(replace(v, camera=moved(v.camera)) if v.split == "train" else v for v in scene.views),
-    )
 
 
 def off(scene: Scene, other: Scene) -> dict[str, float]:
@@ -67,7 +52,10 @@ def off(scene: Scene, other: Scene) -> dict[str, float]:
 def main(scene: Path, degrees: float, share: float, seed: int, weights: Path, output: Path) -> None:
     """Disturb, refine and judge; write poses.json and poses.md."""
     sound, rows = Scene.load(scene), {}
-    for name, start in (("sound", sound), ("disturbed", disturbed(sound, degrees, share, seed))):
+    for name, start in (
+        ("sound", sound),
+        ("disturbed", disturbed(sound, degrees, share, np.random.default_rng(seed))),
+    ):
         folder = output / name
         shutil.copytree(scene, folder, dirs_exist_ok=True)
         start.save(folder)

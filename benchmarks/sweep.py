@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import statistics
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import click
 from record import provenance
+from stress import Stressed
 
 from nmbg.atomic import atomic_file
 from nmbg.evaluation.evaluate import evaluate
@@ -31,25 +34,33 @@ class Job:
         scene: scene folder.
         config: how it is trained.
         init: run whose network it begins with, or None.
+        stressed: how the scene is made worse before, or None.
     """
 
     scene: Path
     config: TrainConfig
     init: Path | None = None
+    stressed: Stressed | None = None
 
     @property
     def key(self) -> str:
         """What it is kept under: scene, preset, and a hash of everything that decides it."""
-        settings = json.dumps([self.scene.name, asdict(self.config), str(self.init)], sort_keys=True)
+        settings = json.dumps([self.name, asdict(self.config), str(self.init)], sort_keys=True)
         digest = hashlib.sha256(settings.encode()).hexdigest()[:12]
-        return f"{self.scene.name}-{self.config.preset}-{digest}"
+        return f"{self.name}-{self.config.preset}-{digest}"
+
+    @property
+    def name(self) -> str:
+        """The scene's, and what was done to it."""
+        return self.scene.name if self.stressed is None else f"{self.scene.name}-{self.stressed.key}"
 
 
 class Sweep:
     """A folder of finished runs' figures.
 
     Args:
-        output: the folder; figures go into runs/KEY.json, run folders into work/.
+        output: the folder; figures go into runs/KEY.json, the middle held-out view as it was rendered into
+            runs/KEY.png, run folders into work/. Those of stressed scenes are not kept.
         weights: folder of pretrained weights.
         lpips_net: network of LPIPS.
     """
@@ -64,13 +75,22 @@ class Sweep:
             jobs: the runs.
             split: judge the training views as well.
         """
-        missing = [job for job in jobs if not self._path(job).exists()]
+        missing = [job for job in jobs if self.found(job) is None]
         minutes = sum(job.config.minutes or 0 for job in missing)
         click.echo(f"{len(jobs) - len(missing)} of {len(jobs)} runs are there; training: {minutes:g} minutes")
         for job in missing:
             click.echo(job.key)
             self._run(job, split)
         return [json.loads(self._path(job).read_text()) for job in jobs]
+
+    def found(self, job: Job) -> dict[str, Any] | None:
+        """What is kept of a job; None where it has not been run."""
+        path = self._path(job)
+        return json.loads(path.read_text()) if path.exists() else None
+
+    def picture(self, job: Job) -> Path:
+        """The middle held-out view as a finished job rendered it."""
+        return self._path(job).with_suffix(".png")
 
     def folder(self, job: Job) -> Path:
         """Run folder of a job."""
@@ -82,33 +102,68 @@ class Sweep:
     def _run(self, job: Job, split: bool) -> None:
         run = self.folder(job)
         run.parent.mkdir(parents=True, exist_ok=True)
-        train(Scene.load(job.scene), job.config, run, self.weights, overwrite=True, init=job.init)
-        report = evaluate(run, METRICS, lpips_net=self.lpips_net, weights=self.weights)
-        found = latest_checkpoint(run)
-        assert found is not None
-        progress = load_progress(found)
-        figures = {
-            **report.mean,
-            "seconds_per_frame": report.seconds_per_frame,
-            "steps": progress.step,
-            "seconds": progress.seconds,
-            "skipped": progress.skipped,
+        with _scene(job, self.output / "stressed") as scene:
+            train(scene, job.config, run, self.weights, overwrite=True, init=job.init)
+            report = evaluate(run, METRICS, lpips_net=self.lpips_net, weights=self.weights)
+            found = latest_checkpoint(run)
+            assert found is not None
+            progress = load_progress(found)
+            figures = {
+                **report.mean,
+                "seconds_per_frame": report.seconds_per_frame,
+                "steps": progress.step,
+                "seconds": progress.seconds,
+                "skipped": progress.skipped,
+            }
+            if split:
+                figures["train_psnr"] = evaluate(run, ["psnr"], split="train").mean["psnr"]
+        record = {
+            "scene": job.scene.name,
+            "stressed": None if job.stressed is None else job.stressed.key,
+            "config": asdict(job.config),
+            **provenance(),
+            "figures": figures,
+            "views": report.views,
         }
-        if split:
-            figures["train_psnr"] = evaluate(run, ["psnr"], split="train").mean["psnr"]
-        record = {"scene": job.scene.name, "config": asdict(job.config), **provenance(), "figures": figures}
+        middle = scene.test[len(scene.test) // 2]
         self._path(job).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(run / "renders" / Path(middle.name).with_suffix(".png"), self.picture(job))
         with atomic_file(self._path(job)) as path:
             path.write_text(json.dumps(record, indent=1))
+        if job.stressed is not None:
+            shutil.rmtree(run)
 
 
-def trained_for(preset: str, minutes: float, seed: int = 0, **changes: Any) -> TrainConfig:
-    """A preset with a budget in minutes; L_rec, where there is one, up to relu3_1, so that rungs compare."""
+@contextmanager
+def _scene(job: Job, folder: Path) -> Iterator[Scene]:
+    """The scene of a job; one that is stressed lies in a folder until it has been judged."""
+    scene = Scene.load(job.scene)
+    if job.stressed is None:
+        yield scene
+        return
+    folder = folder / job.key
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    yield job.stressed.write(scene, folder)
+    shutil.rmtree(folder)
+
+
+def trained_for(
+    preset: str, minutes: float | None, seed: int = 0, iterations: int | None = None, **changes: Any
+) -> TrainConfig:
+    """A preset with a budget in minutes or steps; L_rec, where there is one, up to relu3_1: rungs compare."""
     config = PRESETS[preset]
     perceptual = "none" if config.perceptual == "none" else VGG_TO_RELU3
-    budget = minutes if config.stages else None
+    if not config.stages:
+        minutes = iterations = None
     return replace(
-        config, minutes=budget, epochs=None, iterations=None, perceptual=perceptual, seed=seed, **changes
+        config,
+        minutes=minutes,
+        epochs=None,
+        iterations=iterations,
+        perceptual=perceptual,
+        seed=seed,
+        **changes,
     )
 
 

@@ -117,6 +117,15 @@ def test_looking_away_is_plain(bumpy: Mesh, camera: Camera) -> None:
     torch.testing.assert_close(image, torch.full((3, 30, 43), 0.5))
 
 
+def test_a_network_shows_a_plain_frame_of_nothing(bumpy: Mesh, camera: Camera) -> None:
+    """Its convolutions know where the frame ends, and would draw that."""
+    renderer = randomised(Renderer(NETWORK, [bumpy]))
+    away = replace(camera, R=np.diag([-1.0, 1, -1]) @ camera.R, t=np.array([0.0, 0, -3]))
+    drawn = renderer(renderer.see(away), away)
+    assert drawn.flatten(1).std(1).max() > 1e-3
+    assert (renderer.render(away) == 0.5).all()
+
+
 def test_config_refuses_nonsense() -> None:
     with pytest.raises(ValueError, match="faces, points or both"):
         ModelConfig(faces=False, points=False)

@@ -57,6 +57,12 @@ class LayerFragments:
             tensors += [t for t in (level.index, level.weight, level.face, level.bary) if t is not None]
         return sum(t.nbytes for t in tensors)
 
+    @property
+    def empty(self) -> bool:
+        """Whether no level shows anything."""
+        shown = (t for level in self.levels for t in (level.index, level.face) if t is not None)
+        return all(bool((t < 0).all()) for t in shown)
+
 
 def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig, once: bool = False) -> LayerFragments:
     """Rasterize one layer for the pyramid of a camera.

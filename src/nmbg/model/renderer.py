@@ -156,7 +156,11 @@ class Renderer(nn.Module):
         training = self.training
         self.eval()
         try:
-            image: Tensor = self(self.see(camera, without), camera)
+            sight = self.see(camera, without)
+            # Of nothing at all, a network would show its borders.
+            nothing = isinstance(sight, list) and all(layer.empty for layer in sight)
+            grey = torch.full((3, camera.height, camera.width), 0.5)
+            image: Tensor = grey if nothing else self(sight, camera)
         finally:
             self.train(training)
         if self.exposures is not None:

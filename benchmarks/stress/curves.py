@@ -1,0 +1,176 @@
+"""From points to curves: where a method has lost 3 dB, the table, the picture, and the sheets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nmbg.atomic import atomic_file
+from nmbg.evaluation.figures import Row, sheet
+from nmbg.images import Image, read_image, resize, write_image
+from nmbg.scene import Scene
+from stress import STRESSES
+from stress.rendering import RENDERINGS
+
+LOSS = 3.0  # dB
+WIDTH = 180  # of a picture on a sheet, pixels
+UNITS = {stress.name: stress.unit for stress in (*STRESSES.values(), *RENDERINGS)}
+
+
+def breaking_point(points: Sequence[dict[str, Any]]) -> float | None:
+    """Severity at which 3 dB of PSNR are lost, between the measured ones linearly; None where they are not.
+
+    Args:
+        points: by severity, the first without stress; those without a loss are passed over.
+    """
+    known = [(p["severity"], p["loss"]) for p in points if p["loss"] is not None]
+    for (low, before), (high, after) in pairwise(known):
+        if after >= LOSS:
+            return float(low + (high - low) * (LOSS - before) / (after - before))
+    return None
+
+
+def broken(points: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The first measured point that has lost 3 dB; else the last."""
+    return next((p for p in points if p["loss"] is not None and p["loss"] >= LOSS), points[-1])
+
+
+def table(results: dict[str, Any]) -> str:
+    """Breaking points, then every curve, then what was rendered."""
+    curves = {name: curve for name, curve in results["curves"].items() if curve}
+    presets = list(dict.fromkeys(preset for curve in curves.values() for preset in curve))
+    head = f"| stress | severity | {' | '.join(presets)} |"
+    rule = "|---|---|" + "---|" * len(presets)
+    lines = [
+        f"Scene {results['scene']}. Severity at which {LOSS:g} dB of PSNR are lost; > where the worst that "
+        "was measured loses less, – where nothing was measured.",
+        "",
+        head,
+        rule,
+    ]
+    for name, curve in curves.items():
+        cells = [_breaking(curve.get(preset, [])) for preset in presets]
+        lines.append(f"| {name} | {UNITS[name]} | {' | '.join(cells)} |")
+    lines += [
+        "",
+        "What is lost of the PSNR of held-out views, dB, by severity; first the PSNR without stress.",
+        "",
+    ]
+    lines += [head, rule]
+    for name, curve in curves.items():
+        shown = [_listed(curve.get(preset, [])) for preset in presets]
+        scale = " / ".join(f"{point['severity']:g}" for point in max(curve.values(), key=len))
+        lines.append(f"| {name} | {scale} | {' | '.join(shown)} |")
+    if results["rendered"]:
+        lines += [
+            "",
+            "| preset | random cameras | bad | largest range, looking away | flicker, mean (least), dB |",
+        ]
+        lines += ["|---|---|---|---|---|"]
+        for preset, row in results["rendered"].items():
+            away, flicker = row["away"], row["flicker"]
+            spread = f"{max(away['ranges'].values()):.3f}" if away else "–"
+            steps = f"{flicker['mean']:.2f} ({flicker['least']:.2f})" if flicker else "–"
+            lines.append(
+                f"| {preset} | {row['soak']['cameras']} | {row['soak']['bad']} | {spread} | {steps} |"
+            )
+    if results["seeds"]:
+        lines += ["", "| preset | PSNR of seeds | range |", "|---|---|---|"]
+        for preset, values in results["seeds"].items():
+            shown = " / ".join(f"{value:.2f}" for value in values)
+            lines.append(f"| {preset} | {shown} | {max(values) - min(values):.2f} |")
+    if results["failed"]:
+        lines += ["", *(f"- {key}: {why}" for key, why in results["failed"].items())]
+    return "\n".join(lines) + "\n"
+
+
+def _breaking(points: Sequence[dict[str, Any]]) -> str:
+    if len(points) < 2:
+        return "–"
+    at = breaking_point(points)
+    known = [p["severity"] for p in points if p["loss"] is not None]
+    return f"> {known[-1]:g}" if at is None else f"{at:.3g}"
+
+
+def _listed(points: Sequence[dict[str, Any]]) -> str:
+    losses = ["–" if p["loss"] is None else f"{p['loss']:.2f}" for p in points[1:]]
+    return " / ".join([f"{points[0]['psnr']:.2f}", *losses]) if points else "–"
+
+
+def draw(results: dict[str, Any], path: Path) -> None:
+    """All curves, one axis a stress; severities evenly, as they are no common scale."""
+    import matplotlib as mpl
+
+    mpl.use("svg")
+    from matplotlib import pyplot as plt
+
+    curves = {name: curve for name, curve in results["curves"].items() if curve}
+    if not curves:
+        return
+    columns = 4
+    rows = -(-len(curves) // columns)
+    figure, axes = plt.subplots(rows, columns, figsize=(3 * columns, 2.4 * rows), squeeze=False)
+    presets = list(dict.fromkeys(preset for curve in curves.values() for preset in curve))
+    for axis, (name, curve) in zip(axes.flat, curves.items(), strict=False):
+        ticks = sorted({p["severity"] for points in curve.values() for p in points})
+        for i, preset in enumerate(presets):
+            points = [p for p in curve.get(preset, []) if p["loss"] is not None]
+            places = [ticks.index(p["severity"]) for p in points]
+            axis.plot(
+                places,
+                [points[0]["psnr"] - p["loss"] for p in points],
+                "o-",
+                ms=3,
+                color=f"C{i}",
+                label=preset,
+            )
+        axis.set_xticks(range(len(ticks)), [f"{tick:g}" for tick in ticks])
+        axis.set_title(name, fontsize=9)
+        axis.set_xlabel(UNITS[name], fontsize=7)
+        axis.tick_params(labelsize=7)
+        axis.grid(alpha=0.3)
+    for axis in axes.flat[len(curves) :]:
+        axis.axis("off")
+    axes[0][0].set_ylabel("PSNR, dB", fontsize=8)
+    axes[0][0].legend(fontsize=6)
+    figure.tight_layout()
+    with atomic_file(path) as temporary:
+        figure.savefig(temporary, metadata={"Date": None})
+    plt.close(figure)
+
+
+def pictures(results: dict[str, Any], scene: Scene, output: Path) -> None:
+    """A sheet for each stress: each preset without it, and at the first severity that costs 3 dB."""
+    middle = scene.load_image(scene.test[len(scene.test) // 2])
+    for name, curve in results["curves"].items():
+        rows = []
+        for preset, points in curve.items():
+            worst = broken(points)
+            panels = [
+                read_image(output / points[0]["picture"]),
+                read_image(output / worst["picture"]),
+                middle,
+            ]
+            shown = "–" if worst["psnr"] is None else f"{worst['psnr']:.2f} dB"
+            rows.append(Row(f"{preset}: {worst['severity']:g}, {shown}", tuple(_fitted(panels))))
+        if rows:
+            path = output / "sheets" / f"{results['scene']}-{name.replace(' ', '-')}.png"
+            with atomic_file(path) as temporary:
+                write_image(temporary, sheet(rows, ("without", UNITS[name], "photograph")))
+
+
+def _fitted(panels: Sequence[Image]) -> list[Image]:
+    """Pictures of one size, black around those of another shape."""
+    height = round(WIDTH * panels[-1].shape[0] / panels[-1].shape[1])
+    fitted = []
+    for panel in panels:
+        scale = min(WIDTH / panel.shape[1], height / panel.shape[0])
+        small = resize(panel, max(1, round(scale * panel.shape[1])), max(1, round(scale * panel.shape[0])))
+        canvas = np.zeros((height, WIDTH, 3), np.uint8)
+        canvas[: small.shape[0], : small.shape[1]] = small[:height, :WIDTH]
+        fitted.append(canvas)
+    return fitted

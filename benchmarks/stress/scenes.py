@@ -1,0 +1,111 @@
+"""What a stress is: a scene made worse by a severity, the same for the same seed."""
+
+from __future__ import annotations
+
+import shutil
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from nmbg.images import Image, write_image
+from nmbg.scene import Scene, View
+from nmbg.training.config import TrainConfig
+
+Random = np.random.Generator
+
+
+def unchanged(scene: Scene, severity: float, random: Random) -> Scene:
+    """The scene as it is."""
+    return scene
+
+
+def every_view(scene: Scene) -> tuple[str, ...]:
+    """Names of all held-out views."""
+    return tuple(view.name for view in scene.test)
+
+
+@dataclass(frozen=True)
+class Stress:
+    """One way in which things get worse; held-out views stay as they are.
+
+    Args:
+        name: in tables and on the command line.
+        group: of stresses, on the command line.
+        unit: what severities mean.
+        severities: from none to hopeless; the first changes nothing.
+        scene: scene, severity → scene.
+        image: photograph, severity, place in the capture in [0, 1) → photograph of a training view.
+        config: training settings, severity → settings.
+        presets: that it means something for; None for all.
+        judged: scene → names of the held-out views that are judged.
+    """
+
+    name: str
+    group: str
+    unit: str
+    severities: tuple[float, ...]
+    scene: Callable[[Scene, float, Random], Scene] = unchanged
+    image: Callable[[Image, float, float, Random], Image] | None = None
+    config: Callable[[TrainConfig, float], TrainConfig] | None = None
+    presets: tuple[str, ...] | None = None
+    judged: Callable[[Scene], tuple[str, ...]] = every_view
+
+
+@dataclass(frozen=True)
+class Stressed:
+    """A stress at a severity.
+
+    Args:
+        stress: the stress.
+        severity: of its scale.
+        seed: of what is random; severities of one seed are random alike.
+    """
+
+    stress: Stress
+    severity: float
+    seed: int = 0
+
+    @property
+    def key(self) -> str:
+        """What it is kept under, beside the scene's name."""
+        return f"{self.stress.name.replace(' ', '-')}-{self.severity:g}-{self.seed}"
+
+    def random(self) -> Random:
+        """The same numbers for every severity."""
+        return np.random.default_rng([self.seed, zlib.crc32(self.stress.name.encode())])
+
+    def apply(self, scene: Scene) -> Scene:
+        """The scene, worse; its photographs are still the same."""
+        return self.stress.scene(scene, self.severity, self.random())
+
+    def photograph(self, scene: Scene, view: View) -> Image:
+        """The photograph of one of the scene's views, [H, W, 3] uint8; a training view's is worse."""
+        image = scene.load_image(view)
+        if self.stress.image is None or view.split == "test":
+            return image
+        random = np.random.default_rng([self.seed, zlib.crc32(view.name.encode())])
+        place = scene.views.index(view) / len(scene.views)
+        return self.stress.image(image, self.severity, place, random)
+
+    def write(self, scene: Scene, folder: Path) -> Scene:
+        """Write the worse scene into an empty folder."""
+        worse = self.apply(scene)
+        for kind in ("images", "masks"):
+            (folder / kind).mkdir(parents=True, exist_ok=True)
+        for view in worse.views:
+            if view.mask is not None:
+                shutil.copyfile(scene.folder / "masks" / view.mask, folder / "masks" / view.mask)
+            if self.stress.image is None or view.split == "test":
+                shutil.copyfile(scene.folder / "images" / view.image, folder / "images" / view.image)
+        if self.stress.image is not None:
+            stored = {view.name: f"{Path(view.image).stem}.png" for view in worse.train}
+            for view in worse.train:
+                write_image(folder / "images" / stored[view.name], self.photograph(worse, view))
+            views = tuple(replace(v, image=stored.get(v.name, v.image)) for v in worse.views)
+            worse = replace(worse, views=views)
+        worse = replace(worse, folder=folder)
+        worse.save(folder)
+        return worse
