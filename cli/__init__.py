@@ -23,6 +23,7 @@ COMMANDS = {
     "preprocess": "Turn a COLMAP workspace into a scene folder.",
     "train": "Train a scene.",
     "eval": "Render a run's held-out views and measure them.",
+    "export": "Write a run in a compact form.",
     "demo": "Generate a small capture, train it and show held-out views.",
     "info": "Show versions, threads, devices and pretrained weights.",
 }
