@@ -39,7 +39,7 @@ def network_multiply_adds(renderer: Renderer, padded: Camera) -> int:
         return 0
     channels = renderer.network.encoders[0].start.conv.in_channels  # type: ignore[union-attr, index]
     levels = [
-        torch.zeros(1, int(channels), padded.height >> k, padded.width >> k)  # type: ignore[arg-type]
+        torch.zeros(1, int(channels), padded.height >> k, padded.width >> k)
         for k in range(renderer.config.levels)
     ]
     counter = FlopCounterMode(display=False)

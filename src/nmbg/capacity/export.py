@@ -10,7 +10,12 @@ from safetensors.torch import load_file, save_file
 from nmbg.atomic import atomic_folder
 from nmbg.capacity.packing import halved, pack
 from nmbg.errors import NmbgError
+from nmbg.packed_mesh import save_packed
+from nmbg.scene import GEOMETRY, PACKED_GEOMETRY, Scene
 from nmbg.training import checkpoint
+
+# Steps of the vertices' grid in the scene's radius: about a sixteenth of a pixel at 1000 pixels.
+GRID = 2**14
 
 
 def export_compact(run: Path, output: Path, overwrite: bool = False) -> Path:
@@ -32,7 +37,11 @@ def export_compact(run: Path, output: Path, overwrite: bool = False) -> Path:
     with atomic_folder(output, overwrite) as temporary:
         checkpoint.save_config(temporary, output, {source.name: source}, config)
         shutil.copyfile(run / checkpoint.VIEWS, temporary / checkpoint.VIEWS)
-        shutil.copytree(run / checkpoint.SCENE, temporary / checkpoint.SCENE)
+        folder = temporary / checkpoint.SCENE
+        shutil.copytree(run / checkpoint.SCENE, folder)
+        scene = Scene.load(folder)
+        (folder / GEOMETRY).unlink(missing_ok=True)
+        save_packed(scene.mesh, folder / PACKED_GEOMETRY, scene.radius / GRID)
         weights = temporary / "checkpoints" / found.name
         weights.mkdir(parents=True)
         shutil.copyfile(found / "progress.json", weights / "progress.json")

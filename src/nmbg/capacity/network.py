@@ -69,7 +69,7 @@ def race(
     full = config.model.widths
     multiple = 2 ** (len(full) - 1)
     left_out = LeftOut(renderer, fit)
-    left_out.padded = lambda camera: camera.padded(multiple)
+    left_out.padded = lambda camera: camera.padded(multiple)  # all racers see the same
     examples = Views(scene, tuple(running), left_out.see, config.cache_gib)
     sights = {view.name: left_out.see(view.camera, view) for view in judging}
     judge = Judge(scene, judging)
@@ -85,11 +85,10 @@ def race(
     racers, frame = [], judging[0].camera
     for widths in candidates(full, hole):
         torch.manual_seed(config.seed)
-        racer = Renderer(replace(config.model, widths=widths), renderer.layers)
-        racer.photographs = renderer.photographs
-        fast_enough = fps is None or seconds_per_frame(racer, frame) <= 1 / fps
-        if fast_enough:
-            racers.append(Racer(racer, network_multiply_adds(racer, racer.padded(frame))))
+        model = Renderer(replace(config.model, widths=widths), renderer.layers)
+        model.photographs = renderer.photographs
+        if fps is None or seconds_per_frame(model, frame) <= 1 / fps:
+            racers.append(Racer(model, network_multiply_adds(model, model.padded(frame))))
     if not racers:
         return (), None, [Choice("network: none", "all of it", "unknown", f"none reaches {fps:g} frames/s")]
 
@@ -113,10 +112,10 @@ def race(
     if none.within(best, LIMIT):
         saved = f"{most / 1e9:.1f} G multiply-adds a frame"
         return (), None, [Choice("network: none", saved, none.cost_beside(best), f"the best {told}")]
-    widths = racer.renderer.config.widths
-    saved = f"{(most - racer.work) / 1e9:.1f} of {most / 1e9:.1f} G multiply-adds a frame"
+    widths = chosen.renderer.config.widths
+    saved = f"{(most - chosen.work) / 1e9:.1f} of {most / 1e9:.1f} G multiply-adds a frame"
     reason = f"the best {told}; the largest hole is {hole} pixels across"
-    return widths, racer.network, [Choice(f"network: {widths}", saved, score.cost_beside(best), reason)]
+    return widths, chosen.network, [Choice(f"network: {widths}", saved, score.cost_beside(best), reason)]
 
 
 def racer_view(renderer: Renderer) -> Callable[[Gathered, View], Tensor]:
@@ -163,7 +162,7 @@ def _run(racer: Racer, examples: Views, config: TrainConfig, multiple: int, shar
         counted = None if mask is None else mask[None, None].float()
         loss = l1(image, target, counted)
         optimiser.zero_grad(set_to_none=True)
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         for group in optimiser.param_groups:
             group["lr"] = rate * (1 - done)
         optimiser.step()

@@ -19,7 +19,7 @@ def pack(state: Mapping[str, Tensor], bases: int) -> dict[str, Tensor]:
         state: of Descriptors, by layer: names end in "coeffs".
         bases: harmonics of a feature.
     """
-    packed = {}
+    packed: dict[str, Tensor] = {}
     for name, coeffs in state.items():
         degrees = degrees_of(coeffs, bases)
         columns = coeffs.shape[1]

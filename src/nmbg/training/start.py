@@ -120,7 +120,7 @@ class ColourFit:
         if degrees is None:
             return _solve(sums, otherwise, self.ridge)
         fitted = torch.zeros(len(sums), self.bases, 3)
-        for degree in degrees.unique().tolist():
+        for degree in range(math.isqrt(self.bases)):
             rows, n = (degrees == degree).nonzero()[:, 0], (degree + 1) ** 2
             fitted[rows, :n] = _solve(_lower(sums[rows], n, self.bases), otherwise[rows], self.ridge)
         return fitted
