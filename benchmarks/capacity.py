@@ -1,11 +1,11 @@
 """No more than a scene needs: `--capacity auto`, exported compactly, beside the full size.
 
 Example:
-    python benchmarks/capacity.py out/fox out/kitchen --minutes 5 --seeds 2 --weights DIR --output out/capacity
+    python benchmarks/capacity.py out/fox out/kitchen --seeds 2 --weights DIR --output out/capacity
 
-With `--steps N` both sizes take so many steps instead, whatever else the machine does. Finished runs are kept:
-run it again and it goes on where it stopped. `--quick` takes 60 steps and one seed. Bytes are those that
-rendering needs: no state of training. Frames of both sizes are timed in turn.
+Five minutes a run; with `--steps N` both sizes take so many steps instead, whatever else the machine does.
+Finished runs are kept: run it again and it goes on where it stopped. `--quick` takes 60 steps and one seed.
+Bytes are those that rendering needs: no state of training. Frames of both sizes are timed in turn.
 """
 
 from __future__ import annotations

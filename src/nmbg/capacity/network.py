@@ -104,7 +104,10 @@ def race(
                 left = sorted(left, key=lambda r: -r.score.psnr if r.score else 0)[: max(2, len(left) // 2)]
     scores = [(racer, racer.score) for racer in left if racer.score is not None]
     best = max((score for _, score in scores), key=lambda score: score.psnr)
-    racer, score = min(((r, s) for r, s in scores if s.within(best, LIMIT)), key=lambda pair: pair[0].work)
+    chosen, score = min(
+        ((racer, score) for racer, score in scores if score.within(best, LIMIT)),
+        key=lambda pair: pair[0].work,
+    )
     most = max(racer.work for racer in racers)
     told = (
         f"gains {best.psnr - none.psnr:.2f} dB and {best.ssim - none.ssim:.4f} SSIM on {len(judging)} views"
