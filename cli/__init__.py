@@ -24,6 +24,7 @@ COMMANDS = {
     "train": "Train a scene.",
     "eval": "Render a run's held-out views and measure them.",
     "compare": "Show several evaluated runs side by side.",
+    "export": "Write a run in a compact form.",
     "demo": "Generate a small capture, train it and show held-out views.",
     "info": "Show versions, threads, devices and pretrained weights.",
 }

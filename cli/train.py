@@ -103,6 +103,21 @@ class PhotoCount(click.ParamType[int | str]):
     type=PhotoCount(),
     help="Photographs to keep: a number, auto (what the scene needs) or all.  [default: all]",
 )
+@click.option(
+    "--capacity",
+    type=click.Choice(["auto", "full"]),
+    default="full",
+    show_default=True,
+    help="Size of the model: the preset's, or what left-out training views need.",
+)
+@click.option(
+    "--fps", type=click.FloatRange(min=0, min_open=True), help="With --capacity auto: frames a second wished."
+)
+@click.option(
+    "--megabytes",
+    type=click.FloatRange(min=0, min_open=True),
+    help="With --capacity auto: the most that photographs may take.",
+)
 @click.option("--seed", type=int, default=0, show_default=True)
 @device_option
 @click.option(
@@ -211,6 +226,8 @@ def _config(preset: str, device: str, options: dict[str, Any], scenes: int) -> T
         raise NmbgError(f"--perceptual: preset {preset} trains without L_rec; leave it out")
     if "photos" in given and not PRESETS[preset].model.sources:
         raise NmbgError(f"--photos: preset {preset} blends no photographs; leave it out")
+    if given["capacity"] == "auto" and scenes > 1:
+        raise NmbgError("--capacity auto sizes the model of one scene; train the scenes one by one")
     stages = PRESETS[preset].stages
     if "adversarial" in given:
         if not any(stage.network for stage in stages):

@@ -49,8 +49,13 @@ def read_mask(path: Path) -> Mask:
     return np.ascontiguousarray(_read(path)[..., 0] >= 128)
 
 
-def write_image(path: Path, image: npt.NDArray[np.uint8]) -> None:
+def write_image(path: Path, image: npt.NDArray[np.uint8], quality: int | None = None) -> None:
     """Write [H, W, 3] or [H, W] uint8 in the format of the suffix.
+
+    Args:
+        path: where.
+        image: what.
+        quality: of WebP, 1 to 100.
 
     Raises:
         NmbgError: the file cannot be written.
@@ -59,6 +64,8 @@ def write_image(path: Path, image: npt.NDArray[np.uint8]) -> None:
     spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], pixels.shape[2], "uint8")
     # Twice as fast as the default level, for a few per cent of the size.
     spec.attribute("png:compressionLevel", 3)
+    if quality is not None:
+        spec.attribute("Compression", f"webp:{quality}")
     out = oiio.ImageOutput.create(str(path))
     if out is None:
         raise NmbgError(f"{path}: unknown image format ({_one_line(oiio.geterror())}); use .png or .jpg")

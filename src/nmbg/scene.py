@@ -17,9 +17,11 @@ from nmbg.cameras import Camera
 from nmbg.errors import NmbgError
 from nmbg.images import Image, Mask, read_image, read_mask
 from nmbg.mesh import Mesh, load_mesh, save_mesh
+from nmbg.packed_mesh import load_packed
 
 # Raise when a scene folder that an older program wrote would be read wrongly.
 VERSION = 1
+GEOMETRY, PACKED_GEOMETRY = "geometry.ply", "geometry.npz"  # one of the two
 
 Split = Literal["train", "test"]
 
@@ -114,7 +116,7 @@ class Scene:
 
     def save(self, folder: Path) -> None:
         """Write scene.json and geometry.ply; images and masks are put beside them by who made them."""
-        save_mesh(self.mesh, folder / "geometry.ply")
+        save_mesh(self.mesh, folder / GEOMETRY)
         record = {
             "version": VERSION,
             "tool": f"nmbg {nmbg.__version__}",
@@ -148,13 +150,14 @@ class Scene:
             raise NmbgError(f"{path}: damaged or not a scene; {_REMEDY}") from error
         if version != VERSION:
             raise NmbgError(f"{path}: version {version}, this program reads version {VERSION}; {_REMEDY}")
-        mesh, _ = load_mesh(folder / "geometry.ply")
+        packed = folder / PACKED_GEOMETRY
+        mesh = load_packed(packed) if packed.exists() else load_mesh(folder / GEOMETRY)[0]
         try:
             scene = _scene_from_record(folder, mesh, record)
         except (ValueError, KeyError, TypeError) as error:
             raise NmbgError(f"{path}: incomplete or damaged ({error!r}); {_REMEDY}") from error
         if scene.shell_vertices > len(mesh.vertices) or scene.shell_faces > len(mesh.faces):
-            raise NmbgError(f"{path}: does not belong to the geometry.ply beside it; {_REMEDY}")
+            raise NmbgError(f"{path}: does not belong to the geometry beside it; {_REMEDY}")
         return scene
 
 

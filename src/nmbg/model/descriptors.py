@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -36,6 +37,10 @@ class Descriptors(nn.Module):
         table = self.coeffs.view(len(self.coeffs), self.config.bases, self.config.features)
         bases = min(coeffs.shape[1], self.config.bases)
         table[:, :bases, :3] = coeffs[:, :bases].to(table)
+
+    def degrees(self) -> Tensor:
+        """Highest degree of each vertex whose coefficients are not all zero, [N] int64."""
+        return degrees_of(self.coeffs.detach(), self.config.bases)
 
     def pyramid(self, fragments: LayerFragments, levels: int, channels: slice) -> list[Tensor]:
         """Feature images of the finest `levels` levels, [1, channels, H/2ᵏ, W/2ᵏ] each.
@@ -94,6 +99,15 @@ class Descriptors(nn.Module):
         mask = (index >= 0).float()[None].to(device)
         s = index.shape[0] // level.camera.height
         return F.avg_pool2d(mask, s) if s > 1 else mask
+
+
+def degrees_of(coeffs: Tensor, bases: int) -> Tensor:
+    """Highest degree of each row [N, bases · features] that is not all zero, [N] int64."""
+    used = (coeffs.view(len(coeffs), bases, -1) != 0).any(2)
+    degree = torch.zeros(len(coeffs), dtype=torch.int64)
+    for d in range(1, math.isqrt(bases)):
+        degree[used[:, d * d : (d + 1) ** 2].any(1).cpu()] = d
+    return degree
 
 
 class _Rows(torch.autograd.Function):

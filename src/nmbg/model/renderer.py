@@ -55,6 +55,10 @@ class Renderer(nn.Module):
         for descriptors, layer in zip(self._descriptors, coeffs, strict=True):
             descriptors.set_colours(_centred(layer))
 
+    def degrees(self) -> list[Tensor]:
+        """Highest degree of each vertex whose coefficients are not all zero, [N] int64 per layer."""
+        return [descriptors.degrees() for descriptors in self._descriptors]
+
     def remember(self, scene: Scene, views: Sequence[View]) -> None:
         """Blend these photographs of the scene over the mesh from now on."""
         self.photographs = Photographs(scene, views, self.on_mesh, self.config.sources)

@@ -19,6 +19,9 @@ from torch import nn
 
 from nmbg import __version__
 from nmbg.atomic import atomic_file, atomic_folder
+from nmbg.capacity.choices import Choice
+from nmbg.capacity.packing import unpack
+from nmbg.capacity.storage import Storage, store
 from nmbg.errors import NmbgError
 from nmbg.mesh import Mesh, split_layers
 from nmbg.model.config import ModelConfig
@@ -112,16 +115,10 @@ def save_config(folder: Path, run: Path, scenes: Mapping[str, Path], config: Tra
         path.write_text(yaml.safe_dump(_plain(content), sort_keys=False))
 
 
-def save_scene(run: Path, scene: Scene, views: Sequence[View]) -> None:
+def save_scene(run: Path, scene: Scene, views: Sequence[View], storage: Storage) -> None:
     """Write what rendering needs of a scene into the run: its geometry and these photographs."""
     folder = run / SCENE
-    for kind in ("images", "masks"):
-        (folder / kind).mkdir(parents=True, exist_ok=True)
-    for view in views:
-        shutil.copyfile(scene.folder / "images" / view.image, folder / "images" / view.image)
-        if view.mask is not None:
-            shutil.copyfile(scene.folder / "masks" / view.mask, folder / "masks" / view.mask)
-    replace(scene, views=tuple(views)).save(folder)
+    replace(scene, views=store(scene, views, folder, storage)).save(folder)
 
 
 def save_views(
@@ -213,6 +210,7 @@ def load_config(run: Path) -> tuple[dict[str, Path], TrainConfig]:
         content["model"]["widths"] = tuple(content["model"]["widths"])
         content["model"] = ModelConfig(**content["model"])
         content["stages"] = tuple(Stage(**stage) for stage in content["stages"])
+        content["choices"] = tuple(Choice(**choice) for choice in content["choices"])
         return folders, TrainConfig(**content)
     except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, AttributeError) as error:
         reason = str(error).splitlines()[0]
@@ -278,7 +276,7 @@ def load_module(checkpoint: Path, name: str, module: nn.Module | None) -> None:
         return
     path = checkpoint / f"{name}.safetensors"
     try:
-        module.load_state_dict(load_file(path))
+        module.load_state_dict(unpack(load_file(path)))
     except (SafetensorError, OSError) as error:
         raise NmbgError(
             f"{path}: not a readable checkpoint ({_first_line(error)}); train the run anew"

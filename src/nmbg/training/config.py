@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from nmbg.capacity.choices import Choice
 from nmbg.model.config import ModelConfig
 
 Start = Literal["zeros", "mean", "fit"]
@@ -61,6 +62,10 @@ class TrainConfig:
         inspect: leave out training views that cannot be right (`nmbg.training.inspection`).
         refine: what is moved to where the photographs agree before anything else: "none", or "geometry" (the
             surface), "poses" (the training cameras) or "geometry,poses".
+        capacity: "full", the preset's size, or "auto", what the scene needs (`nmbg.capacity`).
+        fps: with "auto", frames a second that are wished for, or None.
+        megabytes: with "auto", the most that photographs may take, or None.
+        choices: what "auto" chose, and why.
         photos: training photographs kept in the run: how many at most, "auto" or "all".
         seed: seeds weights, the order of views and the random windows.
         device: "cpu" or "cuda".
@@ -83,6 +88,10 @@ class TrainConfig:
     exposure: bool = False
     inspect: bool = True
     refine: Refine = "none"
+    capacity: Literal["auto", "full"] = "full"
+    fps: float | None = None
+    megabytes: float | None = None
+    choices: tuple[Choice, ...] = ()
     photos: int | Literal["auto", "all"] = "all"
     seed: int = 0
     device: str = "cpu"
@@ -94,6 +103,8 @@ class TrainConfig:
             raise ValueError("give one of iterations, epochs and minutes")
         if self.exposure and self.model.sources:
             raise ValueError("photographs that are blended are exposed alike already; leave exposure out")
+        if self.capacity == "full" and (self.fps or self.megabytes):
+            raise ValueError("a wish for frames a second or megabytes needs --capacity auto")
         if not 0 <= self.artificial_views < 1:
             raise ValueError(f"artificial views: expected a share in [0, 1), got {self.artificial_views}")
         for stage in self.stages:

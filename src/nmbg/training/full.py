@@ -199,7 +199,7 @@ class _Company:
             console.print(f"scene {name}")
             place = run / SCENES / name
             place.mkdir(parents=True)
-            _, renderer, _ = begin(Scene.load(folder), self.config, place, self.bare)
+            _, _, renderer, _ = begin(Scene.load(folder), self.config, place, self.bare)
             checkpoint.save_config(place, self.run / SCENES / name, {name: folder}, self.config)
             modules = {"descriptors": renderer.descriptors, "network": self.bare}
             checkpoint.save_checkpoint(place, Progress(), modules)

@@ -12,7 +12,7 @@ import torch
 from torch import nn
 
 from nmbg.cameras import Camera
-from nmbg.capacity import choose_photographs
+from nmbg.capacity.plan import plan
 from nmbg.model.exposure import Exposures, fit_exposure
 from nmbg.model.renderer import Prepared, Renderer
 from nmbg.progress import console
@@ -56,6 +56,7 @@ class Member:
         checkpoint.remember_photographs(folder, renderer)
         if fit is None and can_leave_out(config):
             fit = fit_left_out(renderer, scene)
+            fit.degrees = renderer.degrees()
         renderer.exposures = checkpoint.load_exposures(folder)
         self.training, self.validation = make_views(scene, config, renderer, fit)
         self.artificial = ArtificialCameras(scene) if config.artificial_views else None
@@ -121,7 +122,7 @@ class Member:
 
 def begin(
     scene: Scene, config: TrainConfig, folder: Path, network: nn.Module | None
-) -> tuple[Scene, Renderer, ColourFit | None]:
+) -> tuple[Scene, TrainConfig, Renderer, ColourFit | None]:
     """Write a scene's run folder up to its first checkpoint.
 
     Args:
@@ -131,7 +132,8 @@ def begin(
         network: of the run, when several scenes share it.
 
     Returns:
-        the scene without doubtful views and as it was refined, its renderer, and the closed-form colours when
+        the scene without doubtful views and as it was refined, the configuration with the size that was
+        chosen, the renderer, and the closed-form colours when
         there are any.
     """
     left_out = doubtful(scene) if config.inspect else {}
@@ -144,10 +146,11 @@ def begin(
         scene = replace(scene, mesh=refine_geometry(scene, views=views_for(config.minutes)))
     exposures = fit_exposures(scene, split_training(scene, config)[0]) if config.exposure else None
     checkpoint.save_views(folder, scene, left_out, exposures)
-    renderer = checkpoint.build_renderer(scene, config, network)
-    kept = choose_photographs(scene, config.photos, config.model) if config.model.sources else ()
-    checkpoint.save_scene(folder, scene, kept)
-    fit = _fit_colours(scene, config, renderer)
+    planned = plan(scene, config)
+    scene, config = planned.scene, planned.config
+    renderer = checkpoint.build_renderer(scene, config, planned.network if network is None else network)
+    checkpoint.save_scene(folder, scene, planned.photographs, planned.storage)
+    fit = planned.fit or _fit_colours(scene, config, renderer)
     if config.start == "mean":
         renderer.set_colours(mean_colours(renderer.layers))
     elif fit is not None:
@@ -156,7 +159,7 @@ def begin(
         artificial, generator = ArtificialCameras(scene), torch.Generator().manual_seed(config.seed)
         drawn = [artificial.draw(generator) for _ in range(PICTURED)]
         (folder / "cameras.svg").write_text(camera_picture(scene, drawn))
-    return scene, renderer, fit
+    return scene, config, renderer, fit
 
 
 def split_training(scene: Scene, config: TrainConfig) -> tuple[tuple[View, ...], tuple[View, ...]]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import nullcontext
+from copy import copy
 
 import torch
 from torch import Tensor
@@ -53,6 +55,8 @@ class ColourFit:
     ) -> None:
         self.layers, self.scene, self.bases, self.folds, self.ridge = layers, scene, bases, folds, ridge
         self._fold = {view.name: i % folds for i, view in enumerate(views)}
+        # Per layer, the degree of each vertex [N] int64, where it is less than what `bases` allows.
+        self.degrees: list[Tensor] | None = None
         self._sums = [torch.zeros(folds, len(mesh.vertices), bases, bases + 3) for mesh in layers]
         with nullcontext() if quiet else progress_bar() as bar:
             for view in views if bar is None else bar.track(views, description="fitting colours"):
@@ -72,13 +76,53 @@ class ColourFit:
                 colour would tell what the fold shows. One that no view sees keeps the mesh's colour.
         """
         fitted = []
-        for sums, own in zip(self._sums, mean_colours(self.layers), strict=True):
+        for i, (sums, own) in enumerate(zip(self._sums, mean_colours(self.layers), strict=True)):
             kept = [fold for fold in range(len(sums)) if fold != without]
             otherwise = own
             if without is not None:
                 told = sums[without, :, :1, :1] > 0
                 otherwise = torch.where(told, own.mean(0, keepdim=True), own)
-            fitted.append(_solve(sums[kept].sum(0), otherwise, self.ridge))
+            degrees = None if self.degrees is None else self.degrees[i]
+            fitted.append(self._solve(sums[kept].sum(0), otherwise, degrees))
+        return fitted
+
+    def reduced(self, degree: int) -> ColourFit:
+        """The same fit with harmonics up to a degree."""
+        other = copy(self)
+        other.bases = (degree + 1) ** 2
+        other._sums = [
+            torch.cat([sums[..., : other.bases, : other.bases], sums[..., : other.bases, self.bases :]], -1)
+            for sums in self._sums
+        ]
+        return other
+
+    def gains(self) -> list[Tensor]:
+        """What degrees take from the squared error of left-out folds: [N, 1 + highest degree] per layer.
+
+        Means over the pixels of a vertex, against degree 0 (whose gain is 0), summed over the channels.
+        """
+        found = []
+        for sums, own in zip(self._sums, mean_colours(self.layers), strict=True):
+            whole, errors = sums.sum(0), torch.zeros(math.isqrt(self.bases), len(own))
+            for fold in sums:
+                for degree, error in enumerate(errors):
+                    n = (degree + 1) ** 2
+                    c = _solve(_lower(whole - fold, n, self.bases), own, self.ridge)
+                    normal, rhs = fold[:, :n, :n], fold[:, :n, self.bases :]
+                    # Σ (Y c − colour)² but for Σ colour², which all degrees have.
+                    error += ((normal @ c - 2 * rhs) * c).sum((1, 2))
+            weight = whole[:, 0, 0] / SH_CONSTANT**2
+            found.append(((errors[0] - errors) / weight.clamp(min=1e-6)).T)
+        return found
+
+    def _solve(self, sums: Tensor, otherwise: Tensor, degrees: Tensor | None) -> Tensor:
+        """Solve for the degree of each vertex; what it does not have is 0."""
+        if degrees is None:
+            return _solve(sums, otherwise, self.ridge)
+        fitted = torch.zeros(len(sums), self.bases, 3)
+        for degree in range(math.isqrt(self.bases)):
+            rows, n = (degrees == degree).nonzero()[:, 0], (degree + 1) ** 2
+            fitted[rows, :n] = _solve(_lower(sums[rows], n, self.bases), otherwise[rows], self.ridge)
         return fitted
 
     def _observe(self, mesh: Mesh, view: View) -> tuple[Tensor, Tensor]:
@@ -100,6 +144,11 @@ class ColourFit:
         pixel[seen] = pixel_face.int()
         sums = scatter_faces(shown, pixel, bary, corners.int(), rays, len(vertices), self.bases)
         return vertices.long(), sums
+
+
+def _lower(sums: Tensor, n: int, bases: int) -> Tensor:
+    """The normal equations [N, bases, bases + 3] of the first n harmonics alone, [N, n, n + 3]."""
+    return torch.cat([sums[:, :n, :n], sums[:, :n, bases:]], dim=2)
 
 
 def _solve(sums: Tensor, otherwise: Tensor, ridge: tuple[float, float]) -> Tensor:

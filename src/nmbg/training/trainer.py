@@ -50,7 +50,7 @@ def train(
     clock = Clock()
     perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *smallest_view(scene))
     with atomic_folder(run, overwrite) as temporary:
-        scene_, renderer, colours = begin(scene, config, temporary, None)
+        scene_, config, renderer, colours = begin(scene, config, temporary, None)
         if init is not None:
             take_over(init, config, renderer.network, adversary)
         checkpoint.save_config(temporary, run, {scene.folder.resolve().name: scene.folder}, config)

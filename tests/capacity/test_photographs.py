@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nmbg.capacity import choose_photographs
+from nmbg.capacity.photographs import choose_photographs
 from nmbg.images import Image
 from nmbg.scene import Scene, View
 from nmbg.training.config import PRESETS

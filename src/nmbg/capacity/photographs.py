@@ -1,4 +1,4 @@
-"""How much memory a scene needs."""
+"""How many photographs a scene needs."""
 
 from __future__ import annotations
 

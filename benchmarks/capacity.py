@@ -1,0 +1,140 @@
+"""No more than a scene needs: `--capacity auto`, exported compactly, beside the full size.
+
+Example:
+    python benchmarks/capacity.py out/fox out/kitchen --seeds 2 --weights DIR --output out/capacity
+
+Five minutes a run; with `--steps N` both sizes take so many steps instead, whatever else the machine does.
+Finished runs are kept: run it again and it goes on where it stopped. `--quick` takes 60 steps and one seed.
+Bytes are those that rendering needs: no state of training. Frames of both sizes are timed in turn.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
+
+import click
+from record import cell, command, provenance, write
+from sweep import METRICS, Job, Sweep
+from timing import alternate
+
+from nmbg.capacity.cost import multiply_adds
+from nmbg.capacity.export import export_compact
+from nmbg.evaluation.evaluate import evaluate
+from nmbg.scene import Scene
+from nmbg.training.checkpoint import latest_checkpoint, load_run
+from nmbg.training.config import PRESETS, TrainConfig
+
+
+@click.command()
+@click.argument("scenes", type=click.Path(path_type=Path), nargs=-1, required=True)
+@click.option("--minutes", type=float, default=5.0, show_default=True, help="Budget of each run.")
+@click.option("--steps", type=int, help="Budget in steps instead.")
+@click.option("--seeds", type=int, default=1, show_default=True, help="How many.")
+@click.option("--quick", is_flag=True, help="60 steps, one seed.")
+@click.option("--repeats", type=click.IntRange(min=5), default=7, show_default=True, help="Timed frames.")
+@click.option(
+    "--weights", type=click.Path(path_type=Path), required=True, help="Folder of pretrained weights."
+)
+@click.option(
+    "--output", type=click.Path(path_type=Path), required=True, help="Folder for runs, JSON and table."
+)
+def main(
+    scenes: tuple[Path, ...],
+    minutes: float,
+    steps: int | None,
+    seeds: int,
+    quick: bool,
+    repeats: int,
+    weights: Path,
+    output: Path,
+) -> None:
+    """Train both sizes of every scene, export the small one, judge and time them; write capacity.md."""
+    steps, seeds = (60, 1) if quick else (steps, seeds)
+    budget: dict[str, Any] = {"minutes": minutes if steps is None else None, "iterations": steps}
+    sweep = Sweep(output, weights)
+    rows: list[dict[str, Any]] = []
+    for scene in scenes:
+        for seed in range(seeds):
+            full: TrainConfig = replace(PRESETS["nmbg"], seed=seed, **budget)
+            jobs = [Job(scene, full), Job(scene, replace(full, capacity="auto"))]
+            sweep.measure(jobs, split=False)
+            runs = [sweep.folder(job) for job in jobs]
+            small = output / "work" / f"{runs[1].name}-compact"
+            runs[1] = export_compact(runs[1], small, overwrite=True)
+            rows.append({"scene": scene.name, "seed": seed, **_compare(scene, runs, repeats, weights)})
+            results = {"command": command(), "budget": budget, **provenance(), "rows": rows}
+            write(output, "capacity", results, _table(results))
+    click.echo(_table(results))
+
+
+def _compare(scene: Path, runs: list[Path], repeats: int, weights: Path) -> dict[str, Any]:
+    """Figures of a full run and of a small one."""
+    loaded = [load_run(run) for run in runs]
+    camera = Scene.load(scene).test[0].camera
+    names = ("full", "auto")
+    calls = {name: partial(run.renderer.render, camera) for name, run in zip(names, loaded, strict=True)}
+    times = alternate(calls, repeats)
+    found: dict[str, Any] = {"choices": [str(choice) for choice in loaded[1].config.choices]}
+    for name, folder, run in zip(names, runs, loaded, strict=True):
+        mean = evaluate(folder, METRICS, lpips_net="squeeze", weights=weights).mean
+        found[name] = {
+            **mean,
+            "bytes": _parts(folder),
+            "multiply_adds": multiply_adds(run.renderer, camera),
+            "times": times[name],
+        }
+    return found
+
+
+def _parts(run: Path) -> dict[str, int]:
+    """Bytes that rendering needs, by part."""
+    checkpoint = latest_checkpoint(run)
+    assert checkpoint is not None
+    parts = {
+        "photographs": [run / "scene" / "images", run / "scene" / "masks"],
+        "geometry": list((run / "scene").glob("geometry.*")),
+        "descriptors": [checkpoint / "descriptors.safetensors"],
+        "network": [checkpoint / "network.safetensors"],
+        "text": [run / "config.yaml", run / "views.json", run / "scene" / "scene.json"],
+    }
+    return {name: sum(map(_bytes, paths)) for name, paths in parts.items()}
+
+
+def _bytes(path: Path) -> int:
+    files = path.rglob("*") if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files if file.is_file())
+
+
+def _table(results: dict[str, Any]) -> str:
+    budget = {key: value for key, value in results["budget"].items() if value is not None}
+    told = ", ".join(f"{value:g} {key}" for key, value in budget.items())
+    machine = results["machine"]
+    lines = [
+        f"`--capacity auto`, exported compactly, beside `full`: {told} a run, {machine['cpu']}, "
+        f"{machine['threads']} threads. MB: photographs + geometry + descriptors + network + text.",
+        "",
+        "| scene, seed | size | PSNR / SSIM / LPIPS | MB | multiply-adds a frame, G | ms / frame |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in results["rows"]:
+        for name in ("full", "auto"):
+            figures = row[name]
+            parts = " + ".join(f"{n / 1e6:.2f}" for n in figures["bytes"].values())
+            total = sum(figures["bytes"].values()) / 1e6
+            lines.append(
+                f"| {row['scene']}, {row['seed']} | {name} | {cell(figures)} | {total:.1f} = {parts} | "
+                f"{figures['multiply_adds'] / 1e9:.2f} | {figures['times']['ms']:.0f} |"
+            )
+    for row in results["rows"]:
+        lines += ["", f"{row['scene']}, seed {row['seed']}:", "", *(f"- {text}" for text in row["choices"])]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    main()

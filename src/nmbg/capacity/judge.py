@@ -1,0 +1,67 @@
+"""Training views that judge a size: each is predicted from the photographs of the others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from nmbg.evaluation.metrics import ssim
+from nmbg.scene import Scene, View
+
+# So many views judge.
+JUDGES = 12
+
+
+class Score(NamedTuple):
+    """How well left-out views are predicted: means over the views.
+
+    Args:
+        psnr: dB, over the pixels that count.
+        ssim: of the whole frames.
+    """
+
+    psnr: float
+    ssim: float
+
+    def cost_beside(self, best: Score) -> str:
+        """What is lost against another score, in words."""
+        return f"{best.psnr - self.psnr:.3f} dB, {best.ssim - self.ssim:.4f} SSIM"
+
+    def within(self, best: Score, limit: Score) -> bool:
+        """Whether no more than `limit` is lost against another score."""
+        return best.psnr - self.psnr <= limit.psnr and best.ssim - self.ssim <= limit.ssim
+
+
+# What a single choice may cost.
+LIMIT = Score(0.02, 0.0005)
+
+
+class Judge:
+    """Compares renders of training views with their photographs.
+
+    Args:
+        scene: gives photographs and masks.
+        views: that judge.
+    """
+
+    def __init__(self, scene: Scene, views: Sequence[View]) -> None:
+        self.views = tuple(views)
+        self._load = cache(lambda view: (scene.load_image(view), scene.load_mask(view)))
+
+    def score(self, render: Callable[[View], Tensor]) -> Score:
+        """Score of renders [3, H, W] of the judging views."""
+        psnr = similarity = 0.0
+        for view in self.views:
+            image, mask = self._load(view)
+            target = torch.from_numpy(image).permute(2, 0, 1) / 255
+            estimate = render(view).clamp(0, 1)
+            counts = torch.ones(target.shape[1:]) if mask is None else torch.from_numpy(mask).float()
+            estimate, target = estimate * counts, target * counts
+            error = (estimate - target).square().sum() / (3 * counts.sum()).clamp(min=1)
+            psnr -= 10 * float(torch.log10(error.clamp(min=1e-10)))
+            similarity += ssim(estimate, target) if min(image.shape[:2]) > 5 else 0.0
+        return Score(psnr / len(self.views), similarity / len(self.views))

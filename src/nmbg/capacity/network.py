@@ -1,0 +1,174 @@
+"""Whether a scene needs a network, and how wide: short races on left-out training views."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from scipy.ndimage import distance_transform_edt
+from torch import Tensor, nn
+
+from nmbg.capacity.choices import Choice
+from nmbg.capacity.cost import network_multiply_adds, seconds_per_frame
+from nmbg.capacity.judge import Judge, Score
+from nmbg.losses import l1
+from nmbg.model.photographs import Gathered
+from nmbg.model.renderer import Renderer
+from nmbg.progress import progress_bar
+from nmbg.scene import Scene, View, evenly
+from nmbg.training.config import TrainConfig
+from nmbg.training.left_out import LeftOut
+from nmbg.training.start import ColourFit
+from nmbg.training.views import Views
+
+# Share of the budget that races take.
+SHARE = 0.2
+# Training views that they run on, and views that judge them.
+RUNNERS, JUDGES = 24, 8
+# What a smaller network may cost beside a larger one, or none beside the best: races are short.
+LIMIT = Score(0.04, 0.001)
+# Holes, pixels across, from which a network needs a third level: with two it sees some 20 pixels.
+HOLE = 20
+
+
+@dataclass
+class Racer:
+    """A network in the race, and its last score."""
+
+    renderer: Renderer
+    work: int
+    score: Score | None = None
+
+    @property
+    def network(self) -> nn.Module:
+        """What is trained."""
+        assert self.renderer.network is not None
+        return self.renderer.network
+
+
+def race(
+    scene: Scene, config: TrainConfig, renderer: Renderer, fit: ColourFit, fps: float | None
+) -> tuple[tuple[int, ...], nn.Module | None, list[Choice]]:
+    """Choose the widths of the network by successive halving.
+
+    Args:
+        scene: the scene.
+        config: gives the widths of the full size, the budget and the rates.
+        renderer: with the photographs that are kept and colours, without a network.
+        fit: the colours in folds.
+        fps: frames a second that are wished for, or None.
+
+    Returns:
+        widths, the network as the race left it, and what was chosen.
+    """
+    judging = evenly(scene.train, min(JUDGES, len(scene.train) // 2))
+    running = evenly([view for view in scene.train if view not in judging], RUNNERS)
+    full = config.model.widths
+    multiple = 2 ** (len(full) - 1)
+    left_out = LeftOut(renderer, fit)
+    left_out.padded = lambda camera: camera.padded(multiple)  # all racers see the same
+    examples = Views(scene, tuple(running), left_out.see, config.cache_gib)
+    sights = {view.name: left_out.see(view.camera, view) for view in judging}
+    judge = Judge(scene, judging)
+
+    def shown(render: Callable[[Gathered, View], Tensor]) -> Score:
+        return judge.score(lambda view: render(sights[view.name], view))
+
+    def cropped(image: Tensor, view: View) -> Tensor:
+        return image[:, : view.camera.height, : view.camera.width]
+
+    none = shown(lambda sight, view: cropped(sight.blended(), view))
+    hole = max(_largest_hole(sight.trust) for sight in sights.values())
+    racers, frame = [], judging[0].camera
+    for widths in candidates(full, hole):
+        torch.manual_seed(config.seed)
+        model = Renderer(replace(config.model, widths=widths), renderer.layers)
+        model.photographs = renderer.photographs
+        if fps is None or seconds_per_frame(model, frame) <= 1 / fps:
+            racers.append(Racer(model, network_multiply_adds(model, model.padded(frame))))
+    if not racers:
+        return (), None, [Choice("network: none", "all of it", "unknown", f"none reaches {fps:g} frames/s")]
+
+    rounds = max(1, (len(racers) - 1).bit_length())
+    left = list(racers)
+    with progress_bar() as bar:
+        for number in bar.track(range(rounds), description="races of networks"):
+            for racer in left:
+                _run(racer, examples, config, multiple, 1 / (rounds * len(left)))
+                with torch.no_grad():
+                    racer.score = shown(racer_view(racer.renderer))
+            if number + 1 < rounds:
+                left = sorted(left, key=lambda r: -r.score.psnr if r.score else 0)[: max(2, len(left) // 2)]
+    scores = [(racer, racer.score) for racer in left if racer.score is not None]
+    best = max((score for _, score in scores), key=lambda score: score.psnr)
+    chosen, score = min(
+        ((racer, score) for racer, score in scores if score.within(best, LIMIT)),
+        key=lambda pair: pair[0].work,
+    )
+    most = max(racer.work for racer in racers)
+    told = (
+        f"gains {best.psnr - none.psnr:.2f} dB and {best.ssim - none.ssim:.4f} SSIM on {len(judging)} views"
+    )
+    if none.within(best, LIMIT):
+        saved = f"{most / 1e9:.1f} G multiply-adds a frame"
+        return (), None, [Choice("network: none", saved, none.cost_beside(best), f"the best {told}")]
+    widths = chosen.renderer.config.widths
+    saved = f"{(most - chosen.work) / 1e9:.1f} of {most / 1e9:.1f} G multiply-adds a frame"
+    reason = f"the best {told}; the largest hole is {hole} pixels across"
+    return widths, chosen.network, [Choice(f"network: {widths}", saved, score.cost_beside(best), reason)]
+
+
+def racer_view(renderer: Renderer) -> Callable[[Gathered, View], Tensor]:
+    """A renderer of what was gathered of a view."""
+
+    def render(sight: Gathered, view: View) -> Tensor:
+        image: Tensor = renderer(sight, view.camera)
+        return image
+
+    return render
+
+
+def candidates(full: tuple[int, ...], hole: int) -> list[tuple[int, ...]]:
+    """Widths that race: two small networks, of as many levels as the largest hole needs, and the full one.
+
+    Levels below the first hold more channels than the features that are appended there.
+    """
+    levels = 3 if hole > HOLE else 2
+    deeper = tuple(32 + 4 * i for i in range(levels - 1))
+    return [*((width, *deeper) for width in (8, 12) if width < full[0]), full]
+
+
+def _largest_hole(trust: Tensor) -> int:
+    """Width of the largest region that no photograph shows, pixels."""
+    return int(2 * np.max(distance_transform_edt(np.pad(trust.float().numpy() < 0.5, 1))))
+
+
+def _run(racer: Racer, examples: Views, config: TrainConfig, multiple: int, share: float) -> None:
+    """Train a network for its share of the races, with a decay of its own."""
+    rate = config.stages[-1].network_rate
+    optimiser = torch.optim.Adam(racer.network.parameters(), lr=rate)
+    generator = torch.Generator().manual_seed(config.seed)
+    racer.renderer.train()
+    seconds = None if config.minutes is None else 60 * config.minutes * SHARE * share
+    total = config.iterations if config.epochs is None else config.epochs * len(examples)
+    steps = max(1, round((total or 0) * SHARE * share))
+    begin, step, done = time.monotonic(), 0, 0.0
+    while done < 1:
+        i = int(torch.randint(len(examples), (), generator=generator))
+        example = examples.crop(i, config.window, multiple, generator)
+        assert example.image is not None
+        image = racer.renderer(example.sight, example.camera)[None]
+        target, mask = example.image[None] / 255, example.mask
+        counted = None if mask is None else mask[None, None].float()
+        loss = l1(image, target, counted)
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        for group in optimiser.param_groups:
+            group["lr"] = rate * (1 - done)
+        optimiser.step()
+        step += 1
+        done = step / steps if seconds is None else (time.monotonic() - begin) / seconds
+    racer.renderer.eval()

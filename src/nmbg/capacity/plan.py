@@ -1,0 +1,215 @@
+"""A scene and a configuration → no more of both than the scene needs, choice by choice."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from torch import Tensor, nn
+
+from nmbg.capacity.choices import Choice, megabytes
+from nmbg.capacity.harmonics import STEPS, degrees_for, floats
+from nmbg.capacity.judge import JUDGES, LIMIT, Judge, Score
+from nmbg.capacity.network import race
+from nmbg.capacity.photographs import choose_photographs
+from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, Storage, store, stored_bytes
+from nmbg.capacity.vertices import drop_unseen
+from nmbg.errors import NmbgError
+from nmbg.model.config import ModelConfig
+from nmbg.model.renderer import Renderer
+from nmbg.progress import console
+from nmbg.scene import Scene, View, evenly
+from nmbg.training.config import TrainConfig
+from nmbg.training.left_out import FOLDS, can_leave_out, fit_left_out
+from nmbg.training.start import ColourFit, mean_colours
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a run holds.
+
+    Args:
+        scene: with its geometry.
+        config: with the model's size and the table of choices.
+        photographs: that are kept.
+        storage: how they are kept.
+        fit: colours in closed form, where they are at hand.
+        network: to begin with, where one is at hand.
+    """
+
+    scene: Scene
+    config: TrainConfig
+    photographs: tuple[View, ...]
+    storage: Storage = STORAGES[-1]
+    fit: ColourFit | None = None
+    network: nn.Module | None = None
+
+
+def plan(scene: Scene, config: TrainConfig) -> Plan:
+    """Decide what a run holds.
+
+    Raises:
+        NmbgError: `capacity` is "auto" for a preset that is not sized so.
+    """
+    if config.capacity == "full":
+        kept = choose_photographs(scene, config.photos, config.model) if config.model.sources else ()
+        return Plan(scene, config, kept)
+    if not can_leave_out(config):
+        raise NmbgError(
+            f"--capacity auto: preset {config.preset} does not predict left-out views from photographs; "
+            "use it with nmbg or photos"
+        )
+    return _Sizing(scene, config).plan()
+
+
+class _Sizing:
+    """Sizes one part after another; what was decided stands for those that follow."""
+
+    def __init__(self, scene: Scene, config: TrainConfig) -> None:
+        self.scene, self.config = scene, config
+        self.choices: list[Choice] = []
+        # All in the first fold of the colours' fit, which is then fitted without them.
+        self.judge = Judge(scene, evenly(scene.train[::FOLDS], JUDGES))
+
+    def plan(self) -> Plan:
+        """Decide everything."""
+        self._vertices()
+        photos = "auto" if self.config.photos == "all" else self.config.photos
+        kept = choose_photographs(self.scene, photos, self.config.model)
+        n = len(self.scene.train)
+        left = "the views that judge need them all" if len(kept) == n else "the rest shows nothing new"
+        self._chose(f"photographs: {len(kept)} of {n}", f"{n - len(kept)} files", "0.01 dB at most", left)
+        storage = self._storage(kept)
+        self._samples(kept)
+        fit = self._harmonics(kept)
+        network = self._network(kept, fit) if self.config.model.widths else None
+        config = replace(self.config, choices=tuple(self.choices))
+        return Plan(self.scene, config, kept, storage, fit, network)
+
+    def _chose(self, choice: str, saves: str, costs: str, reason: str) -> None:
+        self._add(Choice(choice, saves, costs, reason))
+
+    def _add(self, choice: Choice) -> None:
+        self.choices.append(choice)
+        console.print(str(choice), highlight=False)
+
+    def _vertices(self) -> None:
+        scene = self.scene
+        self.scene = drop_unseen(scene)
+        before, after = len(scene.mesh.vertices), len(self.scene.mesh.vertices)
+        self._chose(
+            f"vertices: {after} of {before}",
+            f"{1 - after / before:.0%} of them",
+            "nothing that these views see",
+            "no training view sees the others, nor any view halfway between two",
+        )
+        shell = self.scene.shell_faces
+        kept = f"{shell} faces of the far shell are seen" if shell else "no view sees a far shell"
+        self._chose("layers: 1", "the second one", "nothing", f"photographs are blended over one; {kept}")
+
+    def _storage(self, kept: tuple[View, ...]) -> Storage:
+        """The least storage that costs no more than the limit, or that meets the wish for megabytes."""
+        with tempfile.TemporaryDirectory() as folder:
+
+            def stored(storage: Storage) -> tuple[Score, int]:
+                place = Path(folder) / str(STORAGES.index(storage))
+                views = store(self.scene, kept, place, storage)
+                render = self._predicted(replace(self.scene, folder=place), views)
+                return self.judge.score(render), stored_bytes(place)
+
+            best, full = stored(STORAGES[-1])
+            chosen, score, size = STORAGES[-1], best, full
+            wish = self.config.megabytes
+            why = "the least that these views allow"
+            # From the best down: quality falls, then the resolution.
+            for storage in reversed(STORAGES[:-1]):
+                s, n = stored(storage)
+                wished = wish is not None and size > 1e6 * wish
+                if not wished and not s.within(best, STORAGE_LIMIT):
+                    why = f"{storage} costs {s.cost_beside(best)}"
+                    break
+                if n < size:
+                    chosen, score, size = storage, s, n
+                    why = f"wished for at most {wish:g} MB" if wished else why
+        saved = f"{megabytes(full - size)} of {megabytes(full)}"
+        self._chose(f"photographs: {chosen}", saved, score.cost_beside(best), why)
+        return chosen
+
+    def _samples(self, kept: tuple[View, ...]) -> None:
+        """One sample a pixel where more show nothing."""
+        samples = self.config.model.supersample
+        if samples == 1:
+            return
+        one = self.judge.score(self._predicted(self.scene, kept, supersample=1))
+        best = self.judge.score(self._predicted(self.scene, kept, supersample=samples))
+        enough = one.within(best, LIMIT)
+        self._chose(
+            f"samples a pixel: {1 if enough else samples**2}",
+            f"{samples**2 - 1} of {samples**2} samples" if enough else "nothing",
+            one.cost_beside(best) if enough else "nothing",
+            f"one sample costs {one.cost_beside(best)}",
+        )
+        if enough:
+            self._model(supersample=1)
+
+    def _harmonics(self, kept: tuple[View, ...]) -> ColourFit:
+        """The least detail of view-dependent colours that costs no more than the limit."""
+        layers = [self.scene.mesh]
+        fit = fit_left_out(Renderer(replace(self.config.model, widths=()), layers), self.scene)
+        best = self._fitted(kept, fit)
+        full = 3 * fit.bases * len(self.scene.mesh.vertices)
+        for step in STEPS:
+            fit.degrees = degrees_for(fit, step)
+            score = self._fitted(kept, fit)
+            if score.within(best, LIMIT):
+                counts = [int((fit.degrees[0] == d).sum()) for d in range(self.config.model.degree + 1)]
+                shares = ", ".join(f"{n / sum(counts):.0%} of degree {d}" for d, n in enumerate(counts) if n)
+                need = floats(fit.degrees, 3)
+                self._chose(
+                    f"harmonics: {shares}",
+                    f"{full - need} of {full} floats",
+                    score.cost_beside(best),
+                    f"elsewhere directions predict left-out colours better by less than {step:g} of 255",
+                )
+                highest = max(d for d, n in enumerate(counts) if n)
+                self._model(degree=highest)
+                return fit.reduced(highest)
+        fit.degrees = None
+        self._chose(
+            f"harmonics: degree {self.config.model.degree}", "nothing", "nothing", "less costs too much"
+        )
+        return fit
+
+    def _network(self, kept: tuple[View, ...], fit: ColourFit) -> nn.Module | None:
+        renderer = Renderer(replace(self.config.model, widths=()), [self.scene.mesh])
+        renderer.set_colours(fit.coefficients())
+        renderer.remember(self.scene, kept)
+        widths, network, choices = race(self.scene, self.config, renderer, fit, self.config.fps)
+        for choice in choices:
+            self._add(choice)
+        self._model(widths=widths)
+        if not widths:
+            self.config = replace(self.config, stages=())
+        return network
+
+    def _model(self, **changes: object) -> None:
+        self.config = replace(self.config, model=replace(self.config.model, **changes))  # type: ignore[arg-type]
+
+    def _fitted(self, kept: tuple[View, ...], fit: ColourFit) -> Score:
+        """Score of colours fitted without the views that judge."""
+        renderer = Renderer(replace(self.config.model, widths=()), [self.scene.mesh])
+        renderer.set_colours(fit.coefficients(without=0 if fit.folds > 1 else None))
+        renderer.remember(self.scene, kept)
+        return self.judge.score(lambda view: renderer.render(view.camera, without={view.name}))
+
+    def _predicted(
+        self, photographs: Scene, kept: tuple[View, ...], supersample: int = 1
+    ) -> Callable[[View], Tensor]:
+        """Views as photographs over the vertices' mean colours show them."""
+        model: ModelConfig = replace(self.config.model, degree=0, widths=(), supersample=supersample)
+        renderer = Renderer(model, [self.scene.mesh])
+        renderer.set_colours(mean_colours(renderer.layers))
+        renderer.remember(photographs, kept)
+        return lambda view: renderer.render(view.camera, without={view.name})

@@ -1,0 +1,86 @@
+"""Which vertices a scene needs: those that training views, or views between them, can see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from scipy.spatial.transform import Rotation
+
+from nmbg.cameras import Camera
+from nmbg.mesh import Mesh, drop_unused
+from nmbg.progress import progress_bar
+from nmbg.scene import Scene, evenly
+from nmbg.sight import look
+
+# Views that look, at most.
+MOST_VIEWS = 160
+# A view's surface hides what stands further behind than this share of its depth.
+BEHIND = 0.03
+# Views see so much more on each side than their photographs, as a share of it: others stand beside them.
+MARGIN = 0.15
+
+
+def drop_unseen(scene: Scene) -> Scene:
+    """The scene without faces that no training view sees, nor any view halfway between two neighbours."""
+    cameras = [view.camera for view in scene.train]
+    looking = evenly([*cameras, *between(cameras)], MOST_VIEWS)
+    return part(scene, seen_faces(scene.mesh, [widened(camera) for camera in looking]))
+
+
+def part(scene: Scene, keep: npt.NDArray[np.bool_]) -> Scene:
+    """The scene with the chosen faces [M] bool of its mesh."""
+    first = len(scene.mesh.faces) - scene.shell_faces
+    shell = keep & (np.arange(len(keep)) >= first)
+    # Vertices without a face go, too.
+    return replace(
+        scene,
+        mesh=drop_unused(scene.mesh, keep),
+        shell_vertices=len(np.unique(scene.mesh.faces[shell])),
+        shell_faces=int(shell.sum()),
+    )
+
+
+def between(cameras: Sequence[Camera]) -> list[Camera]:
+    """A camera halfway between each one and the one nearest to it."""
+    if len(cameras) < 2:
+        return []
+    centres = np.stack([camera.centre for camera in cameras])
+    halfway = []
+    for i, camera in enumerate(cameras):
+        distance = np.linalg.norm(centres - centres[i], axis=1)
+        distance[i] = np.inf
+        other = cameras[int(distance.argmin())]
+        R = Rotation.from_matrix(np.stack([camera.R, other.R])).mean().as_matrix()
+        halfway.append(replace(camera, R=R, t=-R @ (camera.centre + other.centre) / 2))
+    return halfway
+
+
+def widened(camera: Camera) -> Camera:
+    """The camera with more to see on all sides."""
+    x, y = (round(MARGIN * side) for side in (camera.width, camera.height))
+    return camera.cropped(-x, -y, camera.width + 2 * x, camera.height + 2 * y)
+
+
+def seen_faces(mesh: Mesh, cameras: Sequence[Camera]) -> npt.NDArray[np.bool_]:
+    """Faces of which a camera sees a pixel or a vertex, [M] bool: small ones may hold no pixel's centre."""
+    vertices = torch.from_numpy(mesh.vertices)
+    near = torch.zeros(len(vertices), dtype=torch.bool)
+    hit = torch.zeros(len(mesh.faces) + 1, dtype=torch.bool)
+    with progress_bar() as bar:
+        for camera in bar.track(cameras, description="what views see"):
+            sight = look(mesh, camera)
+            hit[sight.face.flatten().long()] = True  # −1 marks the spare last entry
+            h = camera.project(vertices)
+            front = h[:, 2] > 0
+            pixel = (h[:, :2] / torch.where(front, h[:, 2], 1.0)[:, None]).floor()
+            size = torch.tensor([camera.width, camera.height])
+            inside = front & ((pixel >= 0) & (pixel < size)).all(1)
+            x, y = torch.where(inside[:, None], pixel, 0).long().unbind(1)
+            surface = torch.where(sight.covered, sight.depth, torch.inf)[y, x]
+            near |= inside & (h[:, 2] < (1 + BEHIND) * surface)
+    seen: npt.NDArray[np.bool_] = near.numpy()[mesh.faces].any(1) | hit[:-1].numpy()
+    return seen
