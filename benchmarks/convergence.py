@@ -19,6 +19,9 @@ import click
 from record import command, provenance, write
 from sweep import Job, Sweep, trained_for
 
+from nmbg.atomic import atomic_file
+from nmbg.evaluation.charts import Axis, Series, chart, figure
+
 SHOWN = ("mesh", "photos", "paper", "nmbg")
 WANTED = (24, 26, 28, 30)
 
@@ -52,7 +55,8 @@ def main(
         curves.setdefault(job.scene.name, {}).setdefault(job.config.preset, []).append(point)
     results = {"command": command(), **provenance(), "curves": curves}
     write(output, "convergence", results, _table(curves))
-    _draw(curves, output / "convergence.svg")
+    with atomic_file(output / "convergence.svg") as path:
+        path.write_text(_draw(curves), encoding="utf-8")
     click.echo(_table(curves))
 
 
@@ -77,23 +81,17 @@ def _table(curves: dict[str, dict[str, list[dict[str, float]]]]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _draw(curves: dict[str, Any], path: Path) -> None:
-    import matplotlib as mpl
-
-    mpl.use("svg")
-    from matplotlib import pyplot as plt
-
-    figure, axes = plt.subplots(2, len(curves), figsize=(4 * len(curves), 6), squeeze=False)
-    for column, (scene, presets) in enumerate(curves.items()):
-        for row, (metric, name) in enumerate((("psnr", "PSNR, dB"), ("lpips_squeeze", "LPIPS"))):
-            axis = axes[row][column]
-            for preset, points in presets.items():
-                axis.plot([p["seconds"] for p in points], [p[metric] for p in points], "o-", label=preset)
-            axis.set(xscale="log", xlabel="seconds", ylabel=name, title=scene if row == 0 else None)
-            axis.grid(alpha=0.3)
-    axes[0][0].legend()
-    figure.tight_layout()
-    figure.savefig(path)
+def _draw(curves: dict[str, Any]) -> str:
+    size, charts = (400, 280), []
+    presets = list(dict.fromkeys(preset for found in curves.values() for preset in found))
+    for metric, label in (("psnr", "PSNR, dB"), ("lpips_squeeze", "LPIPS")):
+        for scene, found in curves.items():
+            series = [
+                Series(preset, [(p["seconds"], p[metric]) for p in found.get(preset, [])])
+                for preset in presets
+            ]
+            charts.append(chart(series, Axis("seconds", log=True), Axis(label), scene, size))
+    return figure(charts, [Series(preset, []) for preset in presets], len(curves), size)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -22,10 +23,17 @@ def command() -> str:
 def provenance() -> dict[str, Any]:
     """What numbers depend on besides command and settings."""
     return {
+        "commit": commit(),
         "nmbg": __version__,
         "torch": torch.__version__,
         "machine": machine("cpu"),
     }
+
+
+def commit() -> str:
+    """The commit that runs, with a mark where files differ from it; empty outside a repository."""
+    words = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--abbrev=12", "--dirty"]
+    return subprocess.run(words, capture_output=True, text=True, check=False).stdout.strip()
 
 
 def write(folder: Path, name: str, results: dict[str, Any], table: str) -> None:

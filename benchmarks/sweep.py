@@ -111,6 +111,7 @@ class Sweep:
             figures = {
                 **report.mean,
                 "seconds_per_frame": report.seconds_per_frame,
+                "megabytes": report.megabytes,
                 "steps": progress.step,
                 "seconds": progress.seconds,
                 "skipped": progress.skipped,

@@ -96,7 +96,7 @@ def test_capacity_is_shown_where_the_run_records_it(make_run) -> None:
     report = evaluate(run.folder)
     assert "Capacity" not in headings(parsed(run.folder / "report.html"))
     record = {"choice": "harmonics: 1", "saves": "50 MB", "costs": "0.01 dB", "reason": "matt & plain"}
-    (run.folder / "config.yaml").write_text(yaml.safe_dump({"capacity": [record, {"choice": "no network"}]}))
+    (run.folder / "config.yaml").write_text(yaml.safe_dump({"choices": [record, {"choice": "no network"}]}))
     page = parsed(write_report(run.folder, report, run.scene))
     assert column(page, "Capacity") == ["harmonics: 1", "no network"]
     assert "matt &amp; plain" in (run.folder / "report.html").read_text()

@@ -121,7 +121,7 @@ def _speed(report: Report) -> str:
 def _capacity(folder: Path) -> str:
     """What the scene's size was decided by, where the run records it."""
     path = folder / CONFIG
-    records = yaml.safe_load(path.read_text()).get("capacity") if path.is_file() else None
+    records = yaml.safe_load(path.read_text()).get("choices") if path.is_file() else None
     if not isinstance(records, list) or not records:
         return ""
     rows = [[str(record.get(key, "")) for key in _CAPACITY] for record in records]
