@@ -32,8 +32,10 @@ def test_colours_that_follow_the_direction_need_it(
     scene = Scene.load(scene_folder)
     fit = ColourFit([scene.mesh], scene, scene.train, bases=9, folds=len(scene.train))
     (degrees,) = degrees_for(fit, 8.0)
-    seen = fit.gains()[0].abs().sum(1) > 0
-    assert (degrees[seen] >= 1).float().mean() > 0.5
+    # Of the far shell, most is seen from one direction alone.
+    surface = slice(len(degrees) - scene.shell_vertices)
+    seen = fit.gains()[0][surface].abs().sum(1) > 0
+    assert (degrees[surface][seen] >= 1).float().mean() > 0.5
 
 
 def test_a_limited_fit_is_the_fit_of_that_degree(scene_folder: Path) -> None:

@@ -191,7 +191,8 @@ class _Sizing:
             self._add(choice)
         self._model(widths=widths)
         if not widths:
-            self.config = replace(self.config, stages=())
+            # Nothing is left to train, whatever the budget.
+            self.config = replace(self.config, stages=(), minutes=None, iterations=None, epochs=None)
         return network
 
     def _model(self, **changes: object) -> None:
