@@ -40,7 +40,7 @@ def load_packed(path: Path) -> Mesh:
         NmbgError: the file is damaged.
     """
     try:
-        with np.load(path) as stored:
+        with path.open("rb") as file, np.load(file) as stored:
             places = np.cumsum(_whole(stored["vertices"]), axis=0, dtype=np.int32)
             vertices = (places * float(stored["step"])).astype(np.float32)
             faces = _from_differences(_whole(stored["faces"]))

@@ -14,9 +14,10 @@ from nmbg.capacity.harmonics import STEPS, degrees_for, floats
 from nmbg.capacity.judge import JUDGES, LIMIT, Judge, Score
 from nmbg.capacity.network import race
 from nmbg.capacity.photographs import choose_photographs
-from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, Storage, store, stored_bytes
+from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, SUFFIX, Storage, store, stored_bytes
 from nmbg.capacity.vertices import drop_unseen
 from nmbg.errors import NmbgError
+from nmbg.images import can_write
 from nmbg.model.config import ModelConfig
 from nmbg.model.renderer import Renderer
 from nmbg.progress import console
@@ -111,6 +112,11 @@ class _Sizing:
 
     def _storage(self, kept: tuple[View, ...]) -> Storage:
         """The least storage that costs no more than the limit, or that meets the wish for megabytes."""
+        if not can_write(SUFFIX):
+            self._chose(
+                f"photographs: {STORAGES[-1]}", "nothing", "nothing", "OpenImageIO has no JPEG XL here"
+            )
+            return STORAGES[-1]
         with tempfile.TemporaryDirectory() as folder:
 
             def stored(storage: Storage) -> tuple[Score, int]:
@@ -191,7 +197,8 @@ class _Sizing:
             self._add(choice)
         self._model(widths=widths)
         if not widths:
-            self.config = replace(self.config, stages=())
+            # Nothing is left to train, whatever the budget.
+            self.config = replace(self.config, stages=(), minutes=None, iterations=None, epochs=None)
         return network
 
     def _model(self, **changes: object) -> None:

@@ -1,0 +1,123 @@
+"""A scene sized from its training views, trained, exported, and loaded again."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from nmbg.capacity.cost import multiply_adds, network_multiply_adds
+from nmbg.capacity.export import export_compact
+from nmbg.capacity.network import candidates
+from nmbg.capacity.plan import plan
+from nmbg.capacity.storage import STORAGES, stored_bytes
+from nmbg.cli import main
+from nmbg.errors import NmbgError
+from nmbg.evaluation.evaluate import evaluate
+from nmbg.model.renderer import Renderer
+from nmbg.scene import Scene
+from nmbg.training import checkpoint
+from nmbg.training.config import PRESETS
+from nmbg.training.trainer import resume, train
+
+AUTO = replace(PRESETS["nmbg"], capacity="auto", minutes=None, iterations=10, refine="none")
+
+
+@pytest.fixture(scope="module")
+def run(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return train(Scene.load(scene_folder), AUTO, tmp_path_factory.mktemp("runs") / "auto")
+
+
+def test_every_choice_is_written_with_its_reason(run: Path) -> None:
+    _, config = checkpoint.load_one(run)
+    told = [choice.choice.partition(":")[0] for choice in config.choices]
+    for part in ("vertices", "layers", "photographs", "samples a pixel", "harmonics", "network"):
+        assert part in told
+    assert all(choice.reason and choice.saves and choice.costs for choice in config.choices)
+
+
+def test_an_exported_run_renders_alike_in_fewer_bytes(run: Path, tmp_path: Path) -> None:
+    small = export_compact(run, tmp_path / "small")
+    whole, compact = checkpoint.load_run(run), checkpoint.load_run(small)
+    for view in Scene.load(whole.source).test:
+        images = [r.renderer.render(view.camera) for r in (whole, compact)]
+        assert (images[0] - images[1]).abs().mean() < 0.01
+    assert stored_bytes(small) < stored_bytes(run)
+    assert not list(small.rglob("optimisers.pt"))
+    assert evaluate(small, ["psnr"]).mean["psnr"] > 10
+
+
+def test_full_runs_are_exported_with_their_network(scene_folder: Path, tmp_path: Path) -> None:
+    full = replace(AUTO, capacity="full", iterations=2)
+    run = train(Scene.load(scene_folder), full, tmp_path / "full")
+    small = checkpoint.load_run(export_compact(run, tmp_path / "small"))
+    whole = checkpoint.load_run(run)
+    camera = Scene.load(scene_folder).test[0].camera
+    assert (small.renderer.render(camera) - whole.renderer.render(camera)).abs().mean() < 0.01
+
+
+def test_a_sized_run_is_resumed_with_its_size(run: Path) -> None:
+    before = checkpoint.load_one(run)[1]
+    resume(run)
+    assert checkpoint.load_one(run)[1] == before
+
+
+def test_wishes_are_met(scene_folder: Path) -> None:
+    scene = Scene.load(scene_folder)
+    fast = plan(scene, replace(AUTO, fps=1e6))
+    assert fast.config.model.widths == ()
+    assert fast.config.stages == ()
+    tiny = plan(scene, replace(AUTO, megabytes=1e-6))
+    assert tiny.storage == STORAGES[0]
+
+
+@pytest.mark.parametrize("preset", ["mesh", "paper", "photos-mesh"])
+def test_other_presets_are_refused(scene_folder: Path, preset: str) -> None:
+    with pytest.raises(NmbgError, match="capacity auto"):
+        plan(Scene.load(scene_folder), replace(PRESETS[preset], capacity="auto"))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--fps", "30"], "--capacity auto"),
+        (["--megabytes", "2"], "--capacity auto"),
+        (["--preset", "mesh", "--capacity", "auto"], "nmbg or photos"),
+    ],
+)
+def test_wishes_that_make_no_sense_are_refused(
+    scene_folder: Path, tmp_path: Path, words: list[str], message: str
+) -> None:
+    result = CliRunner().invoke(main, ["train", str(scene_folder), "--output", str(tmp_path / "r"), *words])
+    assert result.exit_code == 2
+    assert message in result.stderr
+
+
+def test_export_says_what_it_needs(run: Path, tmp_path: Path) -> None:
+    out = str(tmp_path / "small")
+    result = CliRunner().invoke(main, ["export", str(run), "--output", out])
+    assert result.exit_code == 2
+    assert "--compact" in result.stderr
+    assert CliRunner().invoke(main, ["export", str(run), "--compact", "--output", out]).exit_code == 0
+
+
+def test_candidates_are_smaller_than_the_full_size() -> None:
+    full = PRESETS["nmbg"].model.widths
+    for hole, levels in ((5, 2), (100, 3)):
+        *small, last = candidates(full, hole)
+        assert last == full
+        assert all(len(widths) == levels and widths[0] < full[0] for widths in small)
+
+
+def test_multiply_adds_of_a_network_by_hand(scene_folder: Path) -> None:
+    scene = Scene.load(scene_folder)
+    model = replace(PRESETS["nmbg"].model, widths=(8, 32))
+    renderer = Renderer(model, [scene.mesh])
+    camera = renderer.padded(scene.test[0].camera)
+    pixels, features = camera.width * camera.height, 28
+    fine = 9 * features * 16 + 9 * 32 * 8 + 9 * 16 * 16 + 8 * 8  # start, up, merge, out
+    coarse = 9 * 8 * 2 * (32 - features)
+    assert network_multiply_adds(renderer, camera) == pixels * fine + pixels // 4 * coarse
+    assert multiply_adds(renderer, camera) > network_multiply_adds(renderer, camera)
+    plain = Renderer(replace(model, widths=()), [scene.mesh])
+    assert network_multiply_adds(plain, camera) == 0
