@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,8 @@ import torch
 from nmbg import __version__
 from nmbg.atomic import atomic_file
 from nmbg.evaluation.machine import machine
+
+os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # as the command line does
 
 
 def command() -> str:

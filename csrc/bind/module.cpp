@@ -5,6 +5,7 @@ namespace nmbg {
 void bind_adam_rows(pybind11::module_& m);
 void bind_blend_photos(pybind11::module_& m);
 void bind_build(pybind11::module_& m);
+void bind_gate(pybind11::module_& m);
 void bind_rasterize_faces(pybind11::module_& m);
 void bind_rasterize_points(pybind11::module_& m);
 void bind_shade(pybind11::module_& m);
@@ -18,4 +19,5 @@ PYBIND11_MODULE(_core, m) {
     nmbg::bind_shade(m);
     nmbg::bind_blend_photos(m);
     nmbg::bind_adam_rows(m);
+    nmbg::bind_gate(m);
 }

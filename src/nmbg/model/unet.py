@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from nmbg.model.config import Norm
+from nmbg.ops import gate
 
 
 class GatedConv(nn.Module):
@@ -22,8 +23,7 @@ class GatedConv(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:  # [B, inputs, H, W] -> [B, outputs, H, W]
         """Filter a feature image."""
-        value, gate = self.conv(x).chunk(2, dim=1)
-        out: Tensor = self.norm(F.elu(value) * torch.sigmoid(gate))
+        out: Tensor = self.norm(gate(self.conv(x)))
         return out
 
 

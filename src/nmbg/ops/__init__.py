@@ -2,6 +2,7 @@
 
 from nmbg.ops.adam import adam_rows
 from nmbg.ops.blend import Blend, blend_photos, mip_chain
+from nmbg.ops.gate import gate
 from nmbg.ops.rasterize import (
     FaceHits,
     PointHits,
@@ -18,6 +19,7 @@ __all__ = [
     "PointHits",
     "adam_rows",
     "blend_photos",
+    "gate",
     "mip_chain",
     "rasterize_faces",
     "rasterize_faces_pyramid",

@@ -17,6 +17,7 @@ from nmbg.ops.rasterize import FaceHits, PointHits
 __all__ = [
     "adam_rows",
     "blend_photos",
+    "gate",
     "harmonics",
     "rasterize_faces",
     "rasterize_faces_pyramid",
@@ -313,3 +314,9 @@ def adam_rows(
     mean[index] = betas[0] * mean[index] + (1 - betas[0]) * grad
     square[index] = betas[1] * square[index] + (1 - betas[1]) * grad**2
     table[index] -= rate * mean[index] / (square[index].sqrt() + eps)
+
+
+def gate(x: Tensor) -> Tensor:
+    """See nmbg.ops.gate()."""
+    value, opening = x.chunk(2, dim=1)
+    return torch.nn.functional.elu(value) * torch.sigmoid(opening)
