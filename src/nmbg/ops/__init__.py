@@ -2,6 +2,7 @@
 
 from nmbg.ops.adam import adam_rows
 from nmbg.ops.blend import Blend, blend_photos, mip_chain
+from nmbg.ops.project import project
 from nmbg.ops.rasterize import (
     FaceHits,
     PointHits,
@@ -19,6 +20,7 @@ __all__ = [
     "adam_rows",
     "blend_photos",
     "mip_chain",
+    "project",
     "rasterize_faces",
     "rasterize_faces_pyramid",
     "rasterize_points",

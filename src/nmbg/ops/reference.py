@@ -18,6 +18,7 @@ __all__ = [
     "adam_rows",
     "blend_photos",
     "harmonics",
+    "project",
     "rasterize_faces",
     "rasterize_faces_pyramid",
     "rasterize_points",
@@ -43,6 +44,12 @@ def _update(nearest: Tensor, index: Tensor, depth: Tensor, first: int) -> tuple[
     z = depth.gather(0, best[None])[0]
     closer = z < nearest
     return torch.where(closer, z, nearest), torch.where(closer, first + best, index)
+
+
+def project(points: Tensor, P: Tensor) -> Tensor:
+    """See nmbg.ops.project()."""
+    P = P.to(points.device)
+    return torch.addmm(P[:, 3], points.double(), P[:, :3].T).to(points.dtype)
 
 
 def rasterize_points(h: Tensor, radius_px: float, height: int, width: int) -> PointHits:
