@@ -48,4 +48,5 @@ def project(
     Raises:
         TypeError, ValueError: an argument of another dtype or shape than said here.
     """
-    return _project(points, P)
+    h: Tensor = _project(points, P)
+    return h
