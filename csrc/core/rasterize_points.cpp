@@ -2,19 +2,27 @@
 
 #include <algorithm>
 #include <array>
+#include <span>
+#include <type_traits>
 
 #include "core/bins.h"
 #include "core/check.h"
 #include "core/draw_discs.h"
+#include "core/find_discs.h"
 #include "core/parallel.h"
+#include "core/point_cells.h"
 #include "core/pyramid.h"
 #include "core/scatter.h"
 
 namespace nmbg {
+namespace {
 
+// Draws the discs of the first `drawn` levels of a pyramid.
 template <class T>
-void rasterize_points(const PointsView<T>& view, int32_t* index, T* dist2) {
-    const Pyramid pyramid(view.height, view.width, view.levels);
+void draw_levels(const PointsView<T>& view, const Pyramid& pyramid, std::size_t drawn, int32_t* index,
+                 T* dist2) {
+    const std::span levels(pyramid.levels().data(), drawn);
+    const int64_t tiles = levels.back().first_tile + levels.back().tiling.count();
 
     const auto list = [&](int64_t begin, int64_t end, const auto& put) {
         Points<T> points;
@@ -22,7 +30,7 @@ void rasterize_points(const PointsView<T>& view, int32_t* index, T* dist2) {
         for (int64_t first = begin; first < end; first += Places::most) {
             const int n = static_cast<int>(std::min<int64_t>(Places::most, end - first));
             project(view.h + 3 * first, n, points);
-            for (const Level& level : pyramid.levels()) {
+            for (const Level& level : levels) {
                 place(points, n, view.radius, level, places);
                 places.for_each(n, [&](int i) {
                     const auto point = static_cast<int32_t>(first + i);
@@ -35,12 +43,37 @@ void rasterize_points(const PointsView<T>& view, int32_t* index, T* dist2) {
             }
         }
     };
-    const Bins<int32_t> bins(view.points, pyramid.tiles(), view.threads, list);
+    const Bins<int32_t> bins(view.points, tiles, view.threads, list);
 
-    parallel_for(pyramid.tiles(), view.threads, [&](int64_t tile) {
+    parallel_for(tiles, view.threads, [&](int64_t tile) {
         const Level& level = pyramid.of_tile(tile);
         draw_discs(view, level, level.tiling.box(tile - level.first_tile), bins[tile], index, dist2);
     });
+}
+
+// Looks for the discs of the levels from 1 on.
+void find_levels(const PointsView<float>& view, const Pyramid& pyramid, int32_t* index, float* dist2) {
+    const PointCells cells(view, pyramid);
+    const int64_t first = pyramid.levels()[1].first_tile;
+    parallel_for(pyramid.tiles() - first, view.threads, [&](int64_t i) {
+        const Level& level = pyramid.of_tile(first + i);
+        find_discs(cells, view.radius, pyramid, &level - pyramid.levels().data(),
+                   level.tiling.box(first + i - level.first_tile), index, dist2);
+    });
+}
+
+}  // namespace
+
+template <class T>
+void rasterize_points(const PointsView<T>& view, int32_t* index, T* dist2) {
+    const Pyramid pyramid(view.height, view.width, view.levels);
+    const std::size_t levels = pyramid.levels().size();
+    if constexpr (std::is_same_v<T, float>)
+        if (levels > 1 && PointCells::reach(view.radius) <= PointCells::farthest) {
+            draw_levels(view, pyramid, 1, index, dist2);
+            return find_levels(view, pyramid, index, dist2);
+        }
+    draw_levels(view, pyramid, levels, index, dist2);
 }
 
 template <class T>

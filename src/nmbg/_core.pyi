@@ -12,6 +12,7 @@ version: str
 openmp: bool
 simd: str
 
+def project(P: _Float, points: _Float, threads: int) -> _Float: ...
 def rasterize_points(
     h: _Float, radius_px: float, height: int, width: int, levels: int, threads: int
 ) -> tuple[_Int, _Float]: ...

@@ -12,6 +12,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from nmbg.ops import project, reference
+
 Array = npt.NDArray[np.float64]
 
 # Cameras surround their centre when what they look at lies within this share of the sphere's radius.
@@ -108,8 +110,8 @@ class Camera:
         Returns:
             [N, 3] in the dtype of `points`; computed in float64, so that far-away origins lose nothing.
         """
-        P = torch.from_numpy(self.projection).to(points.device)
-        return torch.addmm(P[:, 3], points.double(), P[:, :3].T).to(points.dtype)
+        op = project if points.device.type == "cpu" else reference.project
+        return op(points, torch.from_numpy(self.projection))
 
     def warp_to(self, other: Camera) -> Array:
         """[B | c], [3, 4] float64: pixel (x, y) at depth z lies at z·B·(x, y, 1) + c in the other camera."""

@@ -19,6 +19,7 @@ __all__ = [
     "blend_photos",
     "gate",
     "harmonics",
+    "project",
     "rasterize_faces",
     "rasterize_faces_pyramid",
     "rasterize_points",
@@ -44,6 +45,12 @@ def _update(nearest: Tensor, index: Tensor, depth: Tensor, first: int) -> tuple[
     z = depth.gather(0, best[None])[0]
     closer = z < nearest
     return torch.where(closer, z, nearest), torch.where(closer, first + best, index)
+
+
+def project(points: Tensor, P: Tensor) -> Tensor:
+    """See nmbg.ops.project()."""
+    P = P.to(points.device)
+    return torch.addmm(P[:, 3], points.double(), P[:, :3].T).to(points.dtype)
 
 
 def rasterize_points(h: Tensor, radius_px: float, height: int, width: int) -> PointHits:
