@@ -18,7 +18,8 @@ from nmbg.errors import NmbgError
 # Threads that spin while they wait slow every step down severalfold when another program wants the cores.
 # OpenMP reads this when torch loads it.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
-# Large tensors in huge pages, where the system has some: fewer faults. Torch reads this at its first allocation.
+# Large tensors in huge pages, where the system has some: fewer faults. Torch reads this when it first
+# allocates.
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 
 COMMANDS = {
