@@ -35,7 +35,7 @@ th:first-child, td:first-child, td.text, th.text { text-align: left; }
 tr.ours, td.best { font-weight: bold; background: #f2f7ff; }
 .row { display: flex; flex-wrap: wrap; gap: .6rem; margin: .6rem 0; }
 figure { margin: 0; }
-figure img { max-width: 100%; height: auto; display: block; background: #181818; }
+figure img { max-width: 100%; height: auto; display: block; background: #181818; outline: 1px solid #ccc; }
 figcaption, .note { color: #555; font-size: .88rem; }
 svg { max-width: 100%; height: auto; }
 </style>

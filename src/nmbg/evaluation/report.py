@@ -197,7 +197,8 @@ def _training(folder: Path) -> str:
     if not path.is_file():
         return ""
     with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
+        # Views without a photograph have no loss that compares with the others'.
+        rows = [row for row in csv.DictReader(file) if row.get("l1") or row.get("perceptual")]
     charts = []
     for column, label, log in (("loss", "loss", True), ("validation_psnr", "validation PSNR, dB", False)):
         points = [(float(row["seconds"]) / 60, float(row[column])) for row in rows if row.get(column)]
