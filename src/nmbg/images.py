@@ -55,7 +55,7 @@ def write_image(path: Path, image: npt.NDArray[np.uint8], quality: int | None = 
     Args:
         path: where.
         image: what.
-        quality: of WebP, 1 to 100.
+        quality: of JPEG XL, 1 to 100 (lossless).
 
     Raises:
         NmbgError: the file cannot be written.
@@ -65,12 +65,17 @@ def write_image(path: Path, image: npt.NDArray[np.uint8], quality: int | None = 
     # Twice as fast as the default level, for a few per cent of the size.
     spec.attribute("png:compressionLevel", 3)
     if quality is not None:
-        spec.attribute("Compression", f"webp:{quality}")
+        spec.attribute("Compression", f"jpegxl:{quality}")
     out = oiio.ImageOutput.create(str(path))
     if out is None:
         raise NmbgError(f"{path}: unknown image format ({_one_line(oiio.geterror())}); use .png or .jpg")
     if not (out.open(str(path), spec) and out.write_image(pixels) and out.close()):
         raise NmbgError(f"{path}: cannot be written ({_one_line(out.geterror())}); is the disk full?")
+
+
+def can_write(suffix: str) -> bool:
+    """Whether OpenImageIO was built with this format."""
+    return oiio.ImageOutput.create(f"image{suffix}") is not None
 
 
 def resize(image: Image, width: int, height: int) -> Image:

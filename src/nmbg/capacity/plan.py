@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,9 +15,10 @@ from nmbg.capacity.harmonics import STEPS, degrees_for, floats
 from nmbg.capacity.judge import JUDGES, LIMIT, Judge, Score
 from nmbg.capacity.network import race
 from nmbg.capacity.photographs import choose_photographs
-from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, Storage, store, stored_bytes
+from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, SUFFIX, Storage, store, stored_bytes
 from nmbg.capacity.vertices import drop_unseen
 from nmbg.errors import NmbgError
+from nmbg.images import can_write
 from nmbg.model.config import ModelConfig
 from nmbg.model.renderer import Renderer
 from nmbg.progress import console
@@ -111,6 +113,11 @@ class _Sizing:
 
     def _storage(self, kept: tuple[View, ...]) -> Storage:
         """The least storage that costs no more than the limit, or that meets the wish for megabytes."""
+        if not can_write(SUFFIX):
+            self._chose(
+                f"photographs: {STORAGES[-1]}", "nothing", "nothing", "OpenImageIO has no JPEG XL here"
+            )
+            return STORAGES[-1]
         with tempfile.TemporaryDirectory() as folder:
 
             def stored(storage: Storage) -> tuple[Score, int]:
@@ -121,18 +128,18 @@ class _Sizing:
 
             best, full = stored(STORAGES[-1])
             chosen, score, size = STORAGES[-1], best, full
-            wish = self.config.megabytes
-            why = "the least that these views allow"
+            limit = 1e6 * (self.config.megabytes or math.inf)
+            why = "the least there is"
             # From the best down: quality falls, then the resolution.
             for storage in reversed(STORAGES[:-1]):
                 s, n = stored(storage)
-                wished = wish is not None and size > 1e6 * wish
-                if not wished and not s.within(best, STORAGE_LIMIT):
+                if size <= limit and not s.within(best, STORAGE_LIMIT):
                     why = f"{storage} costs {s.cost_beside(best)}"
                     break
                 if n < size:
                     chosen, score, size = storage, s, n
-                    why = f"wished for at most {wish:g} MB" if wished else why
+            if not score.within(best, STORAGE_LIMIT):
+                why = f"wished for at most {megabytes(limit)}"
         saved = f"{megabytes(full - size)} of {megabytes(full)}"
         self._chose(f"photographs: {chosen}", saved, score.cost_beside(best), why)
         return chosen

@@ -17,7 +17,7 @@ class Storage:
     """How photographs are kept in a run.
 
     Args:
-        quality: of WebP, 1 to 100; None keeps the files as they are.
+        quality: of JPEG XL, 1 to 100 (lossless); None keeps the files as they are.
         halvings: how often their sides are halved.
     """
 
@@ -26,13 +26,15 @@ class Storage:
 
     def __str__(self) -> str:
         size = f"1/{2**self.halvings} of the sides" if self.halvings else "full size"
-        return f"{size}, {'as they are' if self.quality is None else f'WebP {self.quality}'}"
+        return f"{size}, {'as they are' if self.quality is None else f'JPEG XL {self.quality}'}"
 
 
+# At equal bytes it costs left-out views less than WebP or JPEG: 0.055 dB at 1.9 MB on one capture, JPEG 0.10.
+SUFFIX = ".jxl"
 # Least first; the quality falls before the resolution does, as it costs less a byte.
 STORAGES = (
     *(Storage(quality, halvings) for halvings in (2, 1) for quality in (75, 90)),
-    *(Storage(quality) for quality in (75, 85, 90, 95, 98)),
+    *(Storage(quality) for quality in (75, 85, 90, 95, 97, 100)),
     Storage(),
 )
 # What the least storage may cost. More than other choices: photographs are most of a scene's bytes.
@@ -65,7 +67,7 @@ def _store(scene: Scene, view: View, folder: Path, storage: Storage) -> View:
     camera = view.camera.resized(
         *(max(1, side >> storage.halvings) for side in (view.camera.width, view.camera.height))
     )
-    stored = replace(view, camera=camera, image=str(Path(view.image).with_suffix(".webp")))
+    stored = replace(view, camera=camera, image=str(Path(view.image).with_suffix(SUFFIX)))
     image = resize(scene.load_image(view), camera.width, camera.height)
     write_image(folder / "images" / stored.image, image, quality=storage.quality)
     mask = scene.load_mask(view)
