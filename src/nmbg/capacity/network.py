@@ -36,17 +36,28 @@ HOLE = 20
 
 @dataclass
 class Racer:
-    """A network in the race, and its last score."""
+    """A network in the race.
+
+    Args:
+        renderer: that shows it.
+        work: multiply-adds of a frame.
+        score: after the last round.
+    """
 
     renderer: Renderer
     work: int
-    score: Score | None = None
+    score: Score
 
     @property
     def network(self) -> nn.Module:
         """What is trained."""
         assert self.renderer.network is not None
         return self.renderer.network
+
+    def show(self, sight: Gathered, view: View) -> Tensor:
+        """Render what was gathered of a view."""
+        image: Tensor = self.renderer(sight, view.camera)
+        return image
 
 
 def race(
@@ -88,7 +99,7 @@ def race(
         model = Renderer(replace(config.model, widths=widths), renderer.layers)
         model.photographs = renderer.photographs
         if fps is None or seconds_per_frame(model, frame) <= 1 / fps:
-            racers.append(Racer(model, network_multiply_adds(model, model.padded(frame))))
+            racers.append(Racer(model, network_multiply_adds(model, model.padded(frame)), none))
     if not racers:
         return (), None, [Choice("network: none", "all of it", "unknown", f"none reaches {fps:g} frames/s")]
 
@@ -99,15 +110,11 @@ def race(
             for racer in left:
                 _run(racer, examples, config, multiple, 1 / (rounds * len(left)))
                 with torch.no_grad():
-                    racer.score = shown(racer_view(racer.renderer))
+                    racer.score = shown(racer.show)
             if number + 1 < rounds:
-                left = sorted(left, key=lambda r: -r.score.psnr if r.score else 0)[: max(2, len(left) // 2)]
-    scores = [(racer, racer.score) for racer in left if racer.score is not None]
-    best = max((score for _, score in scores), key=lambda score: score.psnr)
-    chosen, score = min(
-        ((racer, score) for racer, score in scores if score.within(best, LIMIT)),
-        key=lambda pair: pair[0].work,
-    )
+                left = sorted(left, key=lambda racer: -racer.score.psnr)[: max(2, len(left) // 2)]
+    best = max((racer.score for racer in left), key=lambda score: score.psnr)
+    chosen = min((racer for racer in left if racer.score.within(best, LIMIT)), key=lambda racer: racer.work)
     most = max(racer.work for racer in racers)
     told = (
         f"gains {best.psnr - none.psnr:.2f} dB and {best.ssim - none.ssim:.4f} SSIM on {len(judging)} views"
@@ -118,17 +125,11 @@ def race(
     widths = chosen.renderer.config.widths
     saved = f"{(most - chosen.work) / 1e9:.1f} of {most / 1e9:.1f} G multiply-adds a frame"
     reason = f"the best {told}; the largest hole is {hole} pixels across"
-    return widths, chosen.network, [Choice(f"network: {widths}", saved, score.cost_beside(best), reason)]
-
-
-def racer_view(renderer: Renderer) -> Callable[[Gathered, View], Tensor]:
-    """A renderer of what was gathered of a view."""
-
-    def render(sight: Gathered, view: View) -> Tensor:
-        image: Tensor = renderer(sight, view.camera)
-        return image
-
-    return render
+    return (
+        widths,
+        chosen.network,
+        [Choice(f"network: {widths}", saved, chosen.score.cost_beside(best), reason)],
+    )
 
 
 def candidates(full: tuple[int, ...], hole: int) -> list[tuple[int, ...]]:

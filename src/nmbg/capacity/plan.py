@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -127,18 +128,18 @@ class _Sizing:
 
             best, full = stored(STORAGES[-1])
             chosen, score, size = STORAGES[-1], best, full
-            wish = self.config.megabytes
-            why = "the least that these views allow"
+            limit = 1e6 * (self.config.megabytes or math.inf)
+            why = "the least there is"
             # From the best down: quality falls, then the resolution.
             for storage in reversed(STORAGES[:-1]):
                 s, n = stored(storage)
-                wished = wish is not None and size > 1e6 * wish
-                if not wished and not s.within(best, STORAGE_LIMIT):
+                if size <= limit and not s.within(best, STORAGE_LIMIT):
                     why = f"{storage} costs {s.cost_beside(best)}"
                     break
                 if n < size:
                     chosen, score, size = storage, s, n
-                    why = f"wished for at most {wish:g} MB" if wished else why
+            if not score.within(best, STORAGE_LIMIT):
+                why = f"wished for at most {megabytes(limit)}"
         saved = f"{megabytes(full - size)} of {megabytes(full)}"
         self._chose(f"photographs: {chosen}", saved, score.cost_beside(best), why)
         return chosen

@@ -29,7 +29,7 @@ class Storage:
         return f"{size}, {'as they are' if self.quality is None else f'JPEG XL {self.quality}'}"
 
 
-# 4:4:4; what WebP and JPEG lose of the colours, all photographs lose alike, and blending does not average it.
+# At equal bytes it costs left-out views less than WebP or JPEG: 0.055 dB at 1.9 MB on one capture, JPEG 0.10.
 SUFFIX = ".jxl"
 # Least first; the quality falls before the resolution does, as it costs less a byte.
 STORAGES = (

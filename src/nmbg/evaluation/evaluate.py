@@ -20,7 +20,7 @@ from nmbg.evaluation.results import Report, write_results
 from nmbg.images import Image
 from nmbg.scene import Scene, Split, View
 from nmbg.training.checkpoint import Run, load_run, load_views
-from nmbg.training.left_out import LeftOut, can_leave_out, fit_left_out
+from nmbg.training.left_out import LeftOut, can_leave_out, refit_left_out
 
 
 def evaluate(
@@ -84,7 +84,7 @@ def _shows(run: Run, scene: Scene, split: Split) -> Callable[[View], Tensor]:
     renderer = run.renderer
     if split == "test" or not can_leave_out(run.config):
         return lambda view: renderer.render(view.camera, without={view.name})
-    left_out = LeftOut(renderer, fit_left_out(renderer, scene))
+    left_out = LeftOut(renderer, refit_left_out(renderer, scene))
 
     @torch.no_grad()
     def show(view: View) -> Tensor:

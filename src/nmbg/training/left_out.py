@@ -27,6 +27,13 @@ def fit_left_out(renderer: Renderer, scene: Scene) -> ColourFit:
     return ColourFit(renderer.layers, scene, scene.train, renderer.config.bases, folds)
 
 
+def refit_left_out(renderer: Renderer, scene: Scene) -> ColourFit:
+    """The same of a renderer that has colours already: vertices keep their degrees."""
+    fit = fit_left_out(renderer, scene)
+    fit.degrees = renderer.degrees()
+    return fit
+
+
 class LeftOut:
     """Training views without their own photograph, which is neither blended nor in the colours on the mesh.
 

@@ -25,7 +25,7 @@ from nmbg.training.artificial import ArtificialCameras
 from nmbg.training.camera_picture import camera_picture
 from nmbg.training.config import TrainConfig
 from nmbg.training.inspection import doubtful, without
-from nmbg.training.left_out import LeftOut, can_leave_out, fit_left_out
+from nmbg.training.left_out import LeftOut, can_leave_out, fit_left_out, refit_left_out
 from nmbg.training.optimiser import Part, descriptors_part
 from nmbg.training.start import ColourFit, mean_colours
 from nmbg.training.views import Example, Views, random_window
@@ -55,8 +55,7 @@ class Member:
         self.folder, self.scene, self.config, self.renderer = folder, scene, config, renderer
         checkpoint.remember_photographs(folder, renderer)
         if fit is None and can_leave_out(config):
-            fit = fit_left_out(renderer, scene)
-            fit.degrees = renderer.degrees()
+            fit = refit_left_out(renderer, scene)
         renderer.exposures = checkpoint.load_exposures(folder)
         self.training, self.validation = make_views(scene, config, renderer, fit)
         self.artificial = ArtificialCameras(scene) if config.artificial_views else None
