@@ -8,7 +8,7 @@
 
 namespace nmbg {
 
-// Writes the pixels of the tile `box` of level k >= 1: index and dist2 as for rasterize_points().
+// Writes the pixels of the tile `box` of a level k that has cells: index and dist2 as for rasterize_points().
 void find_discs(const PointCells& cells, double radius, const Pyramid& pyramid, std::size_t k,
                 const PixelBox& box, int32_t* index, float* dist2);
 

@@ -33,7 +33,7 @@ struct Finder {
             return;
         }
         if (grid.inner(x, y, x + 1, y + 1) && beyond(j, x, y)) return;
-        if (j == 1) return scan(x, y);
+        if (j == cells.first()) return scan(x, y);
         const CellGrid& fine = cells.grid(j - 1);
         const int32_t m = fine.margin;
         for (int32_t fy = std::max(2 * y, -m); fy < std::min(2 * y + 2, fine.height + m); ++fy)

@@ -1,7 +1,6 @@
 #include "core/point_cells.h"
 
 #include <algorithm>
-#include <cmath>
 #include <limits>
 
 #include "core/bins.h"
@@ -16,7 +15,9 @@ constexpr float infinity = std::numeric_limits<float>::infinity();
 // The cell along one side of a level that holds a coordinate, counted from the rim of the margin.
 int32_t cell_of(float x, int32_t size, int32_t margin) {
     const auto low = static_cast<float>(-margin), high = static_cast<float>(size + margin - 1);
-    return static_cast<int32_t>(std::floor(std::clamp(x, low, high))) + margin;
+    const float bounded = std::clamp(x, low, high);
+    const auto towards_zero = static_cast<int32_t>(bounded);
+    return towards_zero - (static_cast<float>(towards_zero) > bounded) + margin;
 }
 
 }  // namespace
@@ -25,17 +26,18 @@ int32_t PointCells::reach(double radius) {
     return static_cast<int32_t>(std::min(std::ceil(radius + 0.5), 2.0 + farthest));
 }
 
-PointCells::PointCells(const PointsView<float>& view, const Pyramid& pyramid) : margin_(reach(view.radius)) {
-    for (std::size_t k = 1; k < pyramid.levels().size(); ++k) {
+PointCells::PointCells(const PointsView<float>& view, const Pyramid& pyramid, std::size_t first)
+    : first_(first), margin_(reach(view.radius)) {
+    for (std::size_t k = first; k < pyramid.levels().size(); ++k) {
         const Level& level = pyramid.levels()[k];
         // Whole tiles, and room for whole vectors.
         const int64_t columns = ((level.width + 2 * margin_ + 7) >> log_width) + 1;
         const int64_t rows = ((level.height + 2 * margin_ - 1) >> log_height) + 1;
         const int64_t stride = columns << log_width, count = stride * (rows << log_height);
-        const Level& first = pyramid.levels()[1];
-        const int halvings = static_cast<int>(k) - 1;
-        grids_.push_back({level.width, level.height, margin_, first.width >> halvings,
-                          first.height >> halvings, stride, std::make_unique_for_overwrite<float[]>(count),
+        const Level& finest = pyramid.levels()[first];
+        const int halvings = static_cast<int>(k - first);
+        grids_.push_back({level.width, level.height, margin_, finest.width >> halvings,
+                          finest.height >> halvings, stride, std::make_unique_for_overwrite<float[]>(count),
                           std::make_unique_for_overwrite<int32_t[]>(count)});
     }
     sort(view, pyramid);
@@ -46,9 +48,10 @@ void PointCells::sort(const PointsView<float>& view, const Pyramid& pyramid) {
     CellGrid& grid = grids_[0];
     tile_columns_ = grid.stride >> log_width;
     const int64_t tiles = tile_columns_ * (((grid.height + 2 * margin_ - 1) >> log_height) + 1);
-    // Beyond the reach of all levels, in pixels of level 1.
+    // Beyond the reach of all levels, in pixels of the first.
     const Level& last = pyramid.levels().back();
-    const double up = 0.5 / last.scale, low = -(margin_ + 1) * up;
+    const double scale = pyramid.levels()[first_].scale, up = scale / last.scale, low = -(margin_ + 1) * up;
+    const auto shrink = static_cast<float>(scale);
     const auto least = static_cast<float>(low), most_u = static_cast<float>(last.width * up - low),
                most_v = static_cast<float>(last.height * up - low);
 
@@ -58,7 +61,7 @@ void PointCells::sort(const PointsView<float>& view, const Pyramid& pyramid) {
             const int n = static_cast<int>(std::min<int64_t>(Places::most, end - first));
             project(view.h + 3 * first, n, points);
             for (int i = 0; i < n; ++i) {
-                const float x = 0.5f * points.u[i], y = 0.5f * points.v[i];
+                const float x = shrink * points.u[i], y = shrink * points.v[i];
                 if (!(points.z[i] > 0) | (x < least) | (x > most_u) | (y < least) | (y > most_v)) continue;
                 put(tile(cell_of(x, grid.width, margin_), cell_of(y, grid.height, margin_)),
                     static_cast<int32_t>(first + i));
@@ -87,37 +90,37 @@ void PointCells::sort(const PointsView<float>& view, const Pyramid& pyramid) {
         std::fill_n(depth, cells, infinity);
 
         const auto own = std::make_unique_for_overwrite<int16_t[]>(n);
-        const auto some = std::make_unique_for_overwrite<Points<float>>();
-        const auto each = [&](const auto& visit) {
-            for (int64_t from = 0; from < n; from += Places::most) {
-                const int m = static_cast<int>(std::min<int64_t>(Places::most, n - from));
-                float h[3 * Places::most];
-                for (int i = 0; i < m; ++i) {
-                    if (from + i + 16 < n) __builtin_prefetch(view.h + 3 * int64_t{items[from + i + 16]});
-                    std::copy_n(view.h + 3 * int64_t{items[from + i]}, 3, h + 3 * i);
-                }
-                project(h, m, *some);
-                for (int i = 0; i < m; ++i) visit(from + i, some->u[i], some->v[i], some->z[i]);
+        const auto blocks = std::make_unique_for_overwrite<Points<float>[]>(n / Places::most + 1);
+        for (int64_t from = 0; from < n; from += Places::most) {
+            const int m = static_cast<int>(std::min<int64_t>(Places::most, n - from));
+            Points<float>& some = blocks[from / Places::most];
+            float h[3 * Places::most];
+            for (int i = 0; i < m; ++i) {
+                if (from + i + 16 < n) __builtin_prefetch(view.h + 3 * int64_t{items[from + i + 16]});
+                std::copy_n(view.h + 3 * int64_t{items[from + i]}, 3, h + 3 * i);
             }
-        };
-        each([&](int64_t i, float pu, float pv, float) {
-            own[i] = static_cast<int16_t>(
-                inside(cell_of(0.5f * pu, grid.width, margin_), cell_of(0.5f * pv, grid.height, margin_)));
-            ++place[own[i]];
-        });
+            project(h, m, some);
+            for (int i = 0; i < m; ++i) {
+                own[from + i] =
+                    static_cast<int16_t>(inside(cell_of(shrink * some.u[i], grid.width, margin_),
+                                                cell_of(shrink * some.v[i], grid.height, margin_)));
+                ++place[own[from + i]];
+            }
+        }
         int32_t next = first;
         for (int cell = 0; cell < cells; ++cell) {
-            const int32_t count_here = place[cell];
+            const int32_t in_cell = place[cell];
             begin[cell] = place[cell] = next;
-            next += count_here;
+            next += in_cell;
         }
         // In ascending order: the first of equally near points stays.
-        each([&](int64_t i, float pu, float pv, float pz) {
-            const int16_t cell = own[i];
-            const int32_t at = place[cell]++;
-            u[at] = pu, v[at] = pv, z[at] = pz, point[at] = items[i];
-            if (pz < depth[cell]) depth[cell] = pz, nearest[cell] = at;
-        });
+        for (int64_t i = 0; i < n; ++i) {
+            const Points<float>& some = blocks[i / Places::most];
+            const int64_t k = i % Places::most;
+            const int32_t at = place[own[i]]++;
+            u[at] = some.u[k], v[at] = some.v[k], z[at] = some.z[k], point[at] = items[i];
+            if (some.z[k] < depth[own[i]]) depth[own[i]] = some.z[k], nearest[own[i]] = at;
+        }
         for (int row = 0; row < 1 << log_height; ++row) {
             std::copy_n(depth + (row << log_width), 1 << log_width,
                         grid.z.get() + corner + row * grid.stride);

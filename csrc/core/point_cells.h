@@ -14,7 +14,7 @@ namespace nmbg {
 // rim of the margin also hold what lies beyond.
 struct CellGrid {
     int32_t width, height, margin;      // pixels
-    int32_t inner_width, inner_height;  // up to here, cells lie within the image of level 1
+    int32_t inner_width, inner_height;  // up to here, cells lie within the image of the first level
     int64_t stride;
     std::unique_ptr<float[]> z;          // its depth, or infinity
     std::unique_ptr<int32_t[]> nearest;  // its place among the sorted points, where there is one
@@ -26,24 +26,25 @@ struct CellGrid {
     int64_t at(int32_t x, int32_t y) const { return (y + margin) * stride + x + margin; }
 };
 
-// Points in the pixels of the levels from 1 on.
+// Points in the pixels of the levels from `first` on.
 class PointCells {
   public:
-    PointCells(const PointsView<float>& view, const Pyramid& pyramid);
+    PointCells(const PointsView<float>& view, const Pyramid& pyramid, std::size_t first);
 
     // How many pixels away from its own a disc may reach.
     static int32_t reach(double radius);
     // Larger discs are cheaper drawn one by one.
     static constexpr int32_t farthest = 6;
 
-    const CellGrid& grid(std::size_t level) const { return grids_[level - 1]; }
+    const CellGrid& grid(std::size_t level) const { return grids_[level - first_]; }
+    std::size_t first() const { return first_; }
 
     // The sorted points: pixels of the finest level, depth, and which point it is; the last are followed by
     // room for whole vectors.
     std::unique_ptr<float[]> u, v, z;
     std::unique_ptr<int32_t[]> point;
 
-    // Where the points of a cell of level 1 begin and end.
+    // Where the points of a cell of the first level begin and end.
     const int32_t* list(int32_t x, int32_t y) const { return &begin_[cell(x + margin_, y + margin_)]; }
 
   private:
@@ -61,6 +62,7 @@ class PointCells {
     void sort(const PointsView<float>& view, const Pyramid& pyramid);
     void halve(const CellGrid& fine, CellGrid& coarse, int threads) const;
 
+    std::size_t first_;
     int32_t margin_;
     int64_t tile_columns_;
     std::vector<CellGrid> grids_;

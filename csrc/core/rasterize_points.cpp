@@ -51,10 +51,11 @@ void draw_levels(const PointsView<T>& view, const Pyramid& pyramid, std::size_t 
     });
 }
 
-// Looks for the discs of the levels from 1 on.
-void find_levels(const PointsView<float>& view, const Pyramid& pyramid, int32_t* index, float* dist2) {
-    const PointCells cells(view, pyramid);
-    const int64_t first = pyramid.levels()[1].first_tile;
+// Looks for the discs of the levels from `from` on.
+void find_levels(const PointsView<float>& view, const Pyramid& pyramid, std::size_t from, int32_t* index,
+                 float* dist2) {
+    const PointCells cells(view, pyramid, from);
+    const int64_t first = pyramid.levels()[from].first_tile;
     parallel_for(pyramid.tiles() - first, view.threads, [&](int64_t i) {
         const Level& level = pyramid.of_tile(first + i);
         find_discs(cells, view.radius, pyramid, &level - pyramid.levels().data(),
@@ -62,18 +63,26 @@ void find_levels(const PointsView<float>& view, const Pyramid& pyramid, int32_t*
     });
 }
 
+// How many levels are cheaper drawn: a point costs them what four pixels cost that look for theirs.
+template <class T>
+std::size_t levels_to_draw(const PointsView<T>& view, const Pyramid& pyramid) {
+    const auto& levels = pyramid.levels();
+    if (std::is_same_v<T, double> || PointCells::reach(view.radius) > PointCells::farthest)
+        return levels.size();
+    std::size_t k = 1;
+    while (k < levels.size() && view.points < 4 * int64_t{levels[k].height} * levels[k].width) ++k;
+    return k;
+}
+
 }  // namespace
 
 template <class T>
 void rasterize_points(const PointsView<T>& view, int32_t* index, T* dist2) {
     const Pyramid pyramid(view.height, view.width, view.levels);
-    const std::size_t levels = pyramid.levels().size();
+    const std::size_t drawn = levels_to_draw(view, pyramid);
+    draw_levels(view, pyramid, drawn, index, dist2);
     if constexpr (std::is_same_v<T, float>)
-        if (levels > 1 && PointCells::reach(view.radius) <= PointCells::farthest) {
-            draw_levels(view, pyramid, 1, index, dist2);
-            return find_levels(view, pyramid, index, dist2);
-        }
-    draw_levels(view, pyramid, levels, index, dist2);
+        if (drawn < pyramid.levels().size()) find_levels(view, pyramid, drawn, index, dist2);
 }
 
 template <class T>
