@@ -19,6 +19,7 @@ from typing import Any
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
+from options import output_option, scenes_argument, weights_option
 from record import cell, command, provenance, write
 from sweep import METRICS, Job, Sweep
 from timing import alternate
@@ -32,18 +33,14 @@ from nmbg.training.config import PRESETS, TrainConfig
 
 
 @click.command()
-@click.argument("scenes", type=click.Path(path_type=Path), nargs=-1, required=True)
+@scenes_argument
 @click.option("--minutes", type=float, default=5.0, show_default=True, help="Budget of each run.")
 @click.option("--steps", type=int, help="Budget in steps instead.")
 @click.option("--seeds", type=int, default=1, show_default=True, help="How many.")
 @click.option("--quick", is_flag=True, help="60 steps, one seed.")
 @click.option("--repeats", type=click.IntRange(min=5), default=7, show_default=True, help="Timed frames.")
-@click.option(
-    "--weights", type=click.Path(path_type=Path), required=True, help="Folder of pretrained weights."
-)
-@click.option(
-    "--output", type=click.Path(path_type=Path), required=True, help="Folder for runs, JSON and table."
-)
+@weights_option
+@output_option("runs, JSON and table")
 def main(
     scenes: tuple[Path, ...],
     minutes: float,

@@ -17,6 +17,7 @@ from typing import Any
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
+from options import output_option, weights_option
 from record import cell, command, provenance, write
 
 from nmbg.evaluation.evaluate import evaluate
@@ -37,12 +38,8 @@ LPIPS_NET = "squeeze"
 @click.option("--split", type=click.Path(path_type=Path))
 @click.option("--max-size", type=int)
 @click.option("--iterations", default=400, show_default=True, help="Training steps of mesh.")
-@click.option(
-    "--weights", type=click.Path(path_type=Path), required=True, help="Folder of pretrained weights."
-)
-@click.option(
-    "--output", type=click.Path(path_type=Path), required=True, help="Folder for scenes, JSON and table."
-)
+@weights_option
+@output_option("scenes, JSON and table")
 def main(capture: Path, name: str, iterations: int, weights: Path, output: Path, **options: Any) -> None:
     """Preprocess a capture with every background, train and judge; write closing.json and closing.md."""
     results_path = output / "closing.json"

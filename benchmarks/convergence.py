@@ -16,6 +16,7 @@ from typing import Any
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
+from options import output_option, scenes_argument, weights_option
 from record import command, provenance, write
 from sweep import Job, Sweep, trained_for
 
@@ -27,16 +28,12 @@ WANTED = (24, 26, 28, 30)
 
 
 @click.command()
-@click.argument("scenes", type=click.Path(path_type=Path), nargs=-1, required=True)
+@scenes_argument
 @click.option("--minutes", default="0.5,1,2,4", show_default=True, help="Budgets, separated by commas.")
 @click.option("--presets", default=",".join(SHOWN), show_default=True, help="Separated by commas.")
 @click.option("--quick", is_flag=True, help="Half a minute and one minute.")
-@click.option(
-    "--weights", type=click.Path(path_type=Path), required=True, help="Folder of pretrained weights."
-)
-@click.option(
-    "--output", type=click.Path(path_type=Path), required=True, help="Folder for runs, JSON and picture."
-)
+@weights_option
+@output_option("runs, JSON and picture")
 def main(
     scenes: tuple[Path, ...], minutes: str, presets: str, quick: bool, weights: Path, output: Path
 ) -> None:

@@ -21,6 +21,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 import click
 import numpy as np
 import torch
+from options import output_option, weights_option
 from record import command, provenance, write
 from sweep import Job, Sweep, trained_for
 
@@ -77,12 +78,8 @@ FAULTS: dict[str, Callable[[Scene, View], Scene]] = {
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.option("--minutes", type=float, default=1.0, show_default=True)
 @click.option("--presets", default=",".join(PRESETS), show_default=True, help="Separated by commas.")
-@click.option(
-    "--weights", type=click.Path(path_type=Path), required=True, help="Folder of pretrained weights."
-)
-@click.option(
-    "--output", type=click.Path(path_type=Path), required=True, help="Folder for runs, JSON and table."
-)
+@weights_option
+@output_option("runs, JSON and table")
 def main(scene: Path, minutes: float, presets: str, weights: Path, output: Path) -> None:
     """Train with every fault in turn; write faults.json and faults.md."""
     sweep, rows = Sweep(output, weights), {}

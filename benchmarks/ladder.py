@@ -16,6 +16,7 @@ from typing import Any
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
+from options import output_option, scenes_argument, weights_option
 from record import command, provenance, write
 from sweep import Job, Sweep, spread, trained_for
 
@@ -26,17 +27,13 @@ RUNGS = (
 
 
 @click.command()
-@click.argument("scenes", type=click.Path(path_type=Path), nargs=-1, required=True)
+@scenes_argument
 @click.option("--minutes", type=float, default=3.0, show_default=True, help="Training time of each rung.")
 @click.option("--seeds", default="1", show_default=True, help="How many, per scene, separated by commas.")
 @click.option("--rungs", default=",".join(RUNGS), show_default=True, help="Presets, separated by commas.")
 @click.option("--quick", is_flag=True, help="20 seconds a rung, one seed.")
-@click.option(
-    "--weights", type=click.Path(path_type=Path), required=True, help="Folder of pretrained weights."
-)
-@click.option(
-    "--output", type=click.Path(path_type=Path), required=True, help="Folder for runs, JSON and table."
-)
+@weights_option
+@output_option("runs, JSON and table")
 def main(
     scenes: tuple[Path, ...],
     minutes: float,

@@ -20,6 +20,7 @@ from typing import Any
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
+from options import output_option, scenes_argument, weights_option
 from record import cell, command, provenance, write
 from torch import Tensor
 
@@ -60,14 +61,10 @@ PARTS = (
 
 
 @click.command()
-@click.argument("scenes", nargs=-1, required=True, type=click.Path(path_type=Path))
+@scenes_argument
 @click.option("--minutes", type=float, help="And train the default's network for so long.")
-@click.option(
-    "--weights", type=click.Path(path_type=Path), required=True, help="Folder of pretrained weights."
-)
-@click.option(
-    "--output", type=click.Path(path_type=Path), required=True, help="Folder for runs, JSON and table."
-)
+@weights_option
+@output_option("runs, JSON and table")
 def main(scenes: tuple[Path, ...], minutes: float | None, weights: Path, output: Path) -> None:
     """Judge every part on every scene; write parts.json and parts.md."""
     parts = list(PARTS)

@@ -18,6 +18,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 import click
 import numpy as np
 import torch
+from options import output_option
 from torch import Tensor
 from warp import psnr, warped
 
@@ -47,7 +48,7 @@ class Step(NamedTuple):
 @click.option("--frames", type=click.IntRange(min=2), default=60, show_default=True)
 @click.option("--first", type=int, default=0, show_default=True, help="Training view where the path starts.")
 @click.option("--views", type=click.IntRange(min=2), default=4, show_default=True, help="Views on the path.")
-@click.option("--output", type=click.Path(path_type=Path), required=True, help="Folder for JSON and sheet.")
+@output_option("JSON and sheet")
 def main(runs: tuple[Path, ...], frames: int, first: int, views: int, output: Path) -> None:
     """Render one path with each of RUNS, which share a scene, and measure how much neighbours differ."""
     scene = Scene.load(load_run(runs[0]).source)

@@ -21,6 +21,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
 import numpy as np
+from options import output_option, weights_option
 from record import cell, command, provenance, write
 from scipy.spatial.transform import Rotation
 from stress.cameras import disturbed
@@ -45,10 +46,8 @@ def off(scene: Scene, other: Scene) -> dict[str, float]:
 @click.option("--degrees", type=float, default=0.2, show_default=True)
 @click.option("--share", type=float, default=0.005, show_default=True, help="Of the foreground radius.")
 @click.option("--seed", type=int, default=0, show_default=True)
-@click.option(
-    "--weights", type=click.Path(path_type=Path), required=True, help="Folder of pretrained weights."
-)
-@click.option("--output", type=click.Path(path_type=Path), required=True, help="Folder for JSON and table.")
+@weights_option
+@output_option("JSON and table")
 def main(scene: Path, degrees: float, share: float, seed: int, weights: Path, output: Path) -> None:
     """Disturb, refine and judge; write poses.json and poses.md."""
     sound, rows = Scene.load(scene), {}

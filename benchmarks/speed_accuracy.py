@@ -26,6 +26,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
 from nearest import render_nearest
+from options import output_option, weights_option
 from record import command, provenance, write
 from smaller import smaller_scene
 from sweep import Job, Sweep, trained_for
@@ -87,12 +88,8 @@ VARIANTS = {
 @click.option("--seed", type=int, default=0, show_default=True)
 @click.option("--foreign", type=click.Path(path_type=Path), multiple=True, help="Of nmbg eval --renders.")
 @click.option("--quick", is_flag=True, help="15 seconds of training a point.")
-@click.option(
-    "--weights", type=click.Path(path_type=Path), required=True, help="Folder of pretrained weights."
-)
-@click.option(
-    "--output", type=click.Path(path_type=Path), required=True, help="Folder for runs, JSON and pictures."
-)
+@weights_option
+@output_option("runs, JSON and pictures")
 def main(
     scene: Path,
     minutes: str,

@@ -17,6 +17,7 @@ from typing import Any
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
+from options import output_option, weights_option
 from record import command, provenance, write
 from stress import STRESSES, Stress, Stressed
 from stress.curves import draw, pictures, table
@@ -40,12 +41,8 @@ GROUPS = ("views", "geometry", "cameras", "photographs", "model", "rendering", "
 @click.option("--cameras", type=int, default=10_000, show_default=True, help="Random ones of the soak.")
 @click.option("--quick", is_flag=True, help="Mesh and photos, one severity, a quarter of the steps.")
 @click.option("--finished", is_flag=True, help="Measure nothing, tabulate what is there.")
-@click.option(
-    "--weights", type=click.Path(path_type=Path), required=True, help="Folder of pretrained weights."
-)
-@click.option(
-    "--output", type=click.Path(path_type=Path), required=True, help="Folder for runs, JSON and pictures."
-)
+@weights_option
+@output_option("runs, JSON and pictures")
 def main(
     scene: Path,
     presets: str,

@@ -1,15 +1,13 @@
 """Scenes with fewer vertices or smaller training photographs."""
 
-import runpy
 from pathlib import Path
 
 import numpy as np
 import pytest
+from smaller import smaller_scene
 
 from nmbg.images import read_image
 from nmbg.scene import Scene
-
-smaller_scene = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "smaller.py"))["smaller_scene"]
 
 
 def test_training_photographs_shrink_and_held_out_ones_stay(scene_folder: Path, tmp_path: Path) -> None:
