@@ -24,6 +24,7 @@ from stress.curves import draw, pictures, table
 from stress.rendering import RENDERINGS, away, flicker, measure, soak
 from sweep import Job, Sweep, trained_for
 
+from nmbg.atomic import atomic_file
 from nmbg.scene import Scene
 from nmbg.training.checkpoint import load_run
 
@@ -121,7 +122,8 @@ def main(
         "failed": failed,
     }
     write(output, f"stability-{scene.name}", results, table(results))
-    draw(results, output / f"stability-{scene.name}.svg")
+    with atomic_file(output / f"stability-{scene.name}.svg") as file:
+        file.write_text(draw(results))
     pictures(results, sound, output)
     click.echo(table(results))
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from nmbg.atomic import atomic_file
+from nmbg.evaluation.charts import Axis, Series, chart, figure
 from nmbg.evaluation.figures import Row, sheet
 from nmbg.images import Image, read_image, resize, write_image
 from nmbg.scene import Scene
@@ -18,6 +19,7 @@ from stress.rendering import RENDERINGS
 
 LOSS = 3.0  # dB
 WIDTH = 180  # of a picture on a sheet, pixels
+COLUMNS, SIZE = 4, (320, 240)  # of charts
 UNITS = {stress.name: stress.unit for stress in (*STRESSES.values(), *RENDERINGS)}
 
 
@@ -101,46 +103,25 @@ def _listed(points: Sequence[dict[str, Any]]) -> str:
     return " / ".join([f"{points[0]['psnr']:.2f}", *losses]) if points else "–"
 
 
-def draw(results: dict[str, Any], path: Path) -> None:
-    """All curves, one axis a stress; severities evenly, as they are no common scale."""
-    import matplotlib as mpl
-
-    mpl.use("svg")
-    from matplotlib import pyplot as plt
-
+def draw(results: dict[str, Any]) -> str:
+    """All curves, one chart a stress; severities evenly, as they are no common scale."""
     curves = {name: curve for name, curve in results["curves"].items() if curve}
-    if not curves:
-        return
-    columns = 4
-    rows = -(-len(curves) // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(3 * columns, 2.4 * rows), squeeze=False)
     presets = list(dict.fromkeys(preset for curve in curves.values() for preset in curve))
-    for axis, (name, curve) in zip(axes.flat, curves.items(), strict=False):
+    charts = []
+    for name, curve in curves.items():
         ticks = sorted({p["severity"] for points in curve.values() for p in points})
-        for i, preset in enumerate(presets):
-            points = [p for p in curve.get(preset, []) if p["loss"] is not None]
-            places = [ticks.index(p["severity"]) for p in points]
-            axis.plot(
-                places,
-                [points[0]["psnr"] - p["loss"] for p in points],
-                "o-",
-                ms=3,
-                color=f"C{i}",
-                label=preset,
-            )
-        axis.set_xticks(range(len(ticks)), [f"{tick:g}" for tick in ticks])
-        axis.set_title(name, fontsize=9)
-        axis.set_xlabel(UNITS[name], fontsize=7)
-        axis.tick_params(labelsize=7)
-        axis.grid(alpha=0.3)
-    for axis in axes.flat[len(curves) :]:
-        axis.axis("off")
-    axes[0][0].set_ylabel("PSNR, dB", fontsize=8)
-    axes[0][0].legend(fontsize=6)
-    figure.tight_layout()
-    with atomic_file(path) as temporary:
-        figure.savefig(temporary, metadata={"Date": None})
-    plt.close(figure)
+        series = [Series(preset, _places(curve.get(preset, []), ticks)) for preset in presets]
+        across = Axis(UNITS[name], names=tuple(f"{tick:g}" for tick in ticks))
+        charts.append(chart(series, across, Axis("PSNR, dB"), name, SIZE))
+    return figure(charts, [Series(preset, []) for preset in presets], COLUMNS, SIZE)
+
+
+def _places(points: Sequence[dict[str, Any]], ticks: list[float]) -> list[tuple[float, float]]:
+    return [
+        (float(ticks.index(p["severity"])), points[0]["psnr"] - p["loss"])
+        for p in points
+        if p["loss"] is not None
+    ]
 
 
 def pictures(results: dict[str, Any], scene: Scene, output: Path) -> None:

@@ -72,3 +72,11 @@ def test_a_series_has_its_own_colour_or_the_next():
     )
     fills = [c.get("fill") for c in ET.fromstring(text).iter(f"{SVG}circle")]
     assert fills == [COLOURS[0], "black", COLOURS[1]]
+
+
+def test_places_may_have_names() -> None:
+    drawn = chart(
+        [Series("a", [(0, 1.0), (2, 3.0)])], Axis("severity", names=("none", "some", "all")), Axis("dB")
+    )
+    texts = [text.text for text in ET.fromstring(drawn).iter(f"{SVG}text")]
+    assert [text for text in texts if text in ("none", "some", "all")] == ["none", "some", "all"]

@@ -45,10 +45,17 @@ class Series:
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis: what it shows with its unit, and whether equal steps are equal factors."""
+    """One axis.
+
+    Args:
+        label: what it shows, with its unit.
+        log: whether equal steps are equal factors.
+        names: what 0, 1, 2, … stand for, where they are no numbers.
+    """
 
     label: str
     log: bool = False
+    names: tuple[str, ...] = ()
 
 
 def chart(
@@ -154,7 +161,7 @@ class _Scale:
     """Values to pixels, with room at both ends."""
 
     def __init__(self, values: Sequence[float], axis: Axis, first: float, last: float) -> None:
-        self.log, self.first, self.last = axis.log, first, last
+        self.log, self.names, self.first, self.last = axis.log, axis.names, first, last
         places = [self._place(value) for value in values] or [0.0, 1.0]
         low, high = min(places), max(places)
         room = 0.05 * (high - low) or 0.05 * abs(high) or 0.5
@@ -166,6 +173,8 @@ class _Scale:
 
     def ticks(self) -> list[tuple[float, str]]:
         """Round values inside the range, with their labels."""
+        if self.names:
+            return [(float(i), name) for i, name in enumerate(self.names) if self.low <= i <= self.high]
         if self.log and self.high - self.low > 0.7:  # else the range has too few powers of ten to mark
             digits = (1,) if self.high - self.low > 3 else (1, 2, 5)
             powers = range(math.floor(self.low), math.ceil(self.high) + 1)
