@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <span>
 
+#include "core/hiding.h"
 #include "core/places.h"
 #include "core/pyramid.h"
 #include "core/rasterize_points.h"
@@ -20,9 +21,17 @@ struct Points {
 void project(const float* h, int n, Points<float>& out);
 void project(const double* h, int n, Points<double>& out);
 
-// Places n discs of a radius in px. `several_tiles` may have no pixel at all.
-void place(const Points<float>& points, int n, double radius, const Level& level, Places& out);
-void place(const Points<double>& points, int n, double radius, const Level& level, Places& out);
+// Lowers, per cell, z to the nearest of n points; by several threads at a time. May keep another one where
+// two threads meet.
+void keep_nearest(const Points<float>& points, int n, Cells& cells);
+void keep_nearest(const Points<double>& points, int n, Cells& cells);
+
+// Places n discs of a radius in px, without those that are known to be `hidden`. `several_tiles` may have no
+// pixel at all.
+void place(const Points<float>& points, int n, double radius, const Level& level, const Cells* hidden,
+           Places& out);
+void place(const Points<double>& points, int n, double radius, const Level& level, const Cells* hidden,
+           Places& out);
 
 // Draws the discs of points, in ascending order, into the tile `box` of a level, and writes its pixels: index
 // and dist2 as for rasterize_points(). All points must be in front of the camera.

@@ -12,15 +12,54 @@ NMBG_INLINE void project_points(const T* h, int n, Points<T>& out) {
     }
 }
 
+// Eight points in their cells, and which of them are in any.
+struct InCells {
+    i32x8 inside, cell;
+};
+NMBG_INLINE InCells in_cells(const f32x8& u, const f32x8& v, const Cells& cells) {
+    const f32x8 x = u * cells.per_pixel, y = v * cells.per_pixel;
+    const i32x8 inside =
+        (x >= 0) & (y >= 0) & (x < static_cast<float>(cells.width)) & (y < static_cast<float>(cells.height));
+    return {inside, whole(select(inside, y, f32x8{})) * cells.width + whole(select(inside, x, f32x8{}))};
+}
+
 template <class T>
-NMBG_INLINE void place_discs(const Points<T>& points, int n, double radius, const Level& level, Places& out) {
+NMBG_INLINE void keep_any_nearest(const Points<T>& points, int n, Cells& cells) {
+    for (int i = 0; i < n; i += wide) {
+        const f32x8 z = floats(load<eight<T>>(points.z + i));
+        const auto [inside, cell] =
+            in_cells(floats(load<eight<T>>(points.u + i)), floats(load<eight<T>>(points.v + i)), cells);
+        for (unsigned seen = bits_of(inside & (z > 0)) & (0xffu >> std::max(0, i + wide - n)); seen;
+             seen &= seen - 1) {
+            const int lane = std::countr_zero(seen);
+            float* nearest = &cells.z[cell[lane]];
+            float before;
+            __atomic_load(nearest, &before, __ATOMIC_RELAXED);
+            float depth = z[lane];
+            if (depth < before) __atomic_store(nearest, &depth, __ATOMIC_RELAXED);
+        }
+    }
+}
+
+template <class T>
+NMBG_INLINE void place_discs(const Points<T>& points, int n, double radius, const Level& level,
+                             const Cells* hidden, Places& out) {
     const auto scale = static_cast<float>(level.scale), r = static_cast<float>(radius);
     for (int i = 0; i < n; i += wide) {
-        const f32x8 u = scale * floats(load<eight<T>>(points.u + i));
-        const f32x8 v = scale * floats(load<eight<T>>(points.v + i));
+        const f32x8 finest_u = floats(load<eight<T>>(points.u + i)), u = scale * finest_u;
+        const f32x8 finest_v = floats(load<eight<T>>(points.v + i)), v = scale * finest_v;
         const f32x8 z = floats(load<eight<T>>(points.z + i));
+        i32x8 drawn = z > 0;
+        if (hidden) {
+            const auto [inside, cell] = in_cells(finest_u, finest_v, *hidden);
+            drawn &= ~(inside & (z > gather<f32x8>(hidden->z.data(), cell)));
+            if (!any_of(drawn)) {
+                out.drawn[i / wide] = 0;
+                continue;
+            }
+        }
         Box<i32x8> box = pixels_within<f32x8>(u - r, v - r, u + r, v + r, level.width, level.height);
-        box.x1 = select(z > 0, box.x1, box.x0);
+        box.x1 = select(drawn, box.x1, box.x0);
         store_places(box, i32x8{}, []() NMBG_INLINE_LAMBDA { return i32x8{}; }, level.tiling, i, out);
     }
 }
@@ -85,8 +124,12 @@ NMBG_INLINE void draw_any_discs(const PointsView<T>& view, const Level& level, c
 }
 
 inline void project(const float* h, int n, Points<float>& out) { project_points(h, n, out); }
-inline void place(const Points<float>& points, int n, double radius, const Level& level, Places& out) {
-    place_discs(points, n, radius, level, out);
+inline void keep_nearest(const Points<float>& points, int n, Cells& cells) {
+    keep_any_nearest(points, n, cells);
+}
+inline void place(const Points<float>& points, int n, double radius, const Level& level, const Cells* hidden,
+                  Places& out) {
+    place_discs(points, n, radius, level, hidden, out);
 }
 inline void draw_discs(const PointsView<float>& view, const Level& level, const PixelBox& box,
                        std::span<const int32_t> points, int32_t* index, float* dist2) {

@@ -2,27 +2,21 @@
 
 #include <algorithm>
 #include <array>
-#include <span>
-#include <type_traits>
 
 #include "core/bins.h"
 #include "core/check.h"
 #include "core/draw_discs.h"
-#include "core/find_discs.h"
+#include "core/hiding.h"
 #include "core/parallel.h"
-#include "core/point_cells.h"
 #include "core/pyramid.h"
 #include "core/scatter.h"
 
 namespace nmbg {
-namespace {
 
-// Draws the discs of the first `drawn` levels of a pyramid.
 template <class T>
-void draw_levels(const PointsView<T>& view, const Pyramid& pyramid, std::size_t drawn, int32_t* index,
-                 T* dist2) {
-    const std::span levels(pyramid.levels().data(), drawn);
-    const int64_t tiles = levels.back().first_tile + levels.back().tiling.count();
+void rasterize_points(const PointsView<T>& view, int32_t* index, T* dist2) {
+    const Pyramid pyramid(view.height, view.width, view.levels);
+    const Hiding hiding(view, pyramid);
 
     const auto list = [&](int64_t begin, int64_t end, const auto& put) {
         Points<T> points;
@@ -30,8 +24,9 @@ void draw_levels(const PointsView<T>& view, const Pyramid& pyramid, std::size_t 
         for (int64_t first = begin; first < end; first += Places::most) {
             const int n = static_cast<int>(std::min<int64_t>(Places::most, end - first));
             project(view.h + 3 * first, n, points);
-            for (const Level& level : levels) {
-                place(points, n, view.radius, level, places);
+            for (std::size_t k = 0; k < pyramid.levels().size(); ++k) {
+                const Level& level = pyramid.levels()[k];
+                place(points, n, view.radius, level, hiding.of(k), places);
                 places.for_each(n, [&](int i) {
                     const auto point = static_cast<int32_t>(first + i);
                     if (places.tile[i] != Places::several_tiles)
@@ -43,46 +38,13 @@ void draw_levels(const PointsView<T>& view, const Pyramid& pyramid, std::size_t 
             }
         }
     };
-    const Bins<int32_t> bins(view.points, tiles, view.threads, list);
+    const Bins<int32_t> bins(view.points, pyramid.tiles(), view.threads, list);
 
-    parallel_for(tiles, view.threads, [&](int64_t tile) {
+    parallel_for(pyramid.tiles(), view.threads, [&](int64_t i) {
+        const int64_t tile = pyramid.tiles() - 1 - i;  // coarse levels first: their lists are long
         const Level& level = pyramid.of_tile(tile);
         draw_discs(view, level, level.tiling.box(tile - level.first_tile), bins[tile], index, dist2);
     });
-}
-
-// Looks for the discs of the levels from `from` on.
-void find_levels(const PointsView<float>& view, const Pyramid& pyramid, std::size_t from, int32_t* index,
-                 float* dist2) {
-    const PointCells cells(view, pyramid, from);
-    const int64_t first = pyramid.levels()[from].first_tile;
-    parallel_for(pyramid.tiles() - first, view.threads, [&](int64_t i) {
-        const Level& level = pyramid.of_tile(first + i);
-        find_discs(cells, view.radius, pyramid, &level - pyramid.levels().data(),
-                   level.tiling.box(first + i - level.first_tile), index, dist2);
-    });
-}
-
-// How many levels are cheaper drawn: a point costs them what four pixels cost that look for theirs.
-template <class T>
-std::size_t levels_to_draw(const PointsView<T>& view, const Pyramid& pyramid) {
-    const auto& levels = pyramid.levels();
-    if (std::is_same_v<T, double> || PointCells::reach(view.radius) > PointCells::farthest)
-        return levels.size();
-    std::size_t k = 1;
-    while (k < levels.size() && view.points < 4 * int64_t{levels[k].height} * levels[k].width) ++k;
-    return k;
-}
-
-}  // namespace
-
-template <class T>
-void rasterize_points(const PointsView<T>& view, int32_t* index, T* dist2) {
-    const Pyramid pyramid(view.height, view.width, view.levels);
-    const std::size_t drawn = levels_to_draw(view, pyramid);
-    draw_levels(view, pyramid, drawn, index, dist2);
-    if constexpr (std::is_same_v<T, float>)
-        if (drawn < pyramid.levels().size()) find_levels(view, pyramid, drawn, index, dist2);
 }
 
 template <class T>

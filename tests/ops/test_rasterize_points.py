@@ -49,6 +49,21 @@ def test_a_pyramid_agrees_with_its_levels_and_with_the_twin(
             assert torch.equal(part, whole)
 
 
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("radius", [0.37, 0.5, 0.81, 1.62, 3.24, 8.1])
+def test_what_crowded_levels_leave_out_would_not_be_seen(dtype, radius):
+    g = torch.Generator().manual_seed(0)
+    u, v, noise = torch.rand(3, 20_000, generator=g, dtype=torch.float64)
+    z = 1 + u + 0.3 * v + torch.where(noise < 0.5, 0, 0.2 * noise)  # a slope, and what is behind it
+    z = (64 * z).round() / 64  # many are equally near
+    h = torch.stack([(50 * u - 3) * z, (40 * v - 3) * z, z], 1).to(dtype)
+    for k, hits in enumerate(rasterize_points_pyramid(h, radius, 33, 43, 5)):
+        halved = h * h.new_tensor([0.5**k, 0.5**k, 1])
+        alone = rasterize_points(halved, radius, -(-33 // 2**k), -(-43 // 2**k))
+        for part, whole in zip(hits, alone, strict=True):
+            assert torch.equal(part, whole)
+
+
 def test_gradient_is_the_derivative(random_scene):
     h, _ = random_scene(1, 6, 7, vertices=12)
 
