@@ -37,8 +37,8 @@ STORAGES = (
     *(Storage(quality) for quality in (75, 85, 90, 95, 97, 100)),
     Storage(),
 )
-# What the least storage may cost. More than other choices: photographs are most of a scene's bytes.
-STORAGE_LIMIT = Score(0.06, 0.0015)
+# What the least storage may cost.
+STORAGE_LIMIT = Score(0.03, 0.0008)
 
 
 def store(scene: Scene, views: Sequence[View], folder: Path, storage: Storage) -> tuple[View, ...]:
