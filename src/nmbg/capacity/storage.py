@@ -34,7 +34,7 @@ SUFFIX = ".jxl"
 # Least first; the quality falls before the resolution does, as it costs less a byte.
 STORAGES = (
     *(Storage(quality, halvings) for halvings in (2, 1) for quality in (75, 90)),
-    *(Storage(quality) for quality in (75, 85, 90, 95, 97, 100)),
+    *(Storage(quality) for quality in (75, 85, 90, 95, 97, 98, 100)),
     Storage(),
 )
 # What the least storage may cost.
