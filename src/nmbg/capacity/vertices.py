@@ -19,8 +19,8 @@ from nmbg.progress import progress_bar
 from nmbg.scene import Scene, evenly
 from nmbg.sight import look
 
-# Views that look, at most.
-MOST_VIEWS = 160
+# Views between training views that look, at most.
+MOST_BETWEEN = 160
 # A view's surface hides what stands further behind than this share of its depth.
 BEHIND = 0.03
 # Views see so much more on each side than their photographs, as a share of it: others stand beside them.
@@ -32,7 +32,7 @@ NEIGHBOURS = 3
 def drop_unseen(scene: Scene) -> Scene:
     """The scene without faces that no training view sees, nor any view halfway between two neighbours."""
     cameras = [view.camera for view in scene.train]
-    looking = evenly([*cameras, *between(cameras)], max(len(cameras), MOST_VIEWS))
+    looking = [*cameras, *evenly(between(cameras), MOST_BETWEEN)]
     seen = seen_faces(scene.mesh, [widened(camera) for camera in looking])
     seen[len(seen) - scene.shell_faces :] = True
     return part(scene, seen)
