@@ -28,8 +28,8 @@ from nmbg.training.views import Views
 SHARE = 0.2
 # Training views that they run on, and views that judge them.
 RUNNERS, JUDGES = 24, 8
-# What a smaller network may cost beside a larger one, or none beside the best: races are short.
-LIMIT = Score(0.04, 0.001)
+# What a smaller network may cost beside a larger one, or none beside the best.
+LIMIT = Score(0.02, 0.001)
 # Holes, pixels across, from which a network needs a third level: with two it sees some 20 pixels.
 HOLE = 20
 

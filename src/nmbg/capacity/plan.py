@@ -108,8 +108,10 @@ class _Sizing:
             "no training view sees the others, nor any view halfway between two",
         )
         shell = self.scene.shell_faces
-        kept = f"{shell} faces of the far shell are seen" if shell else "no view sees a far shell"
-        self._chose("layers: 1", "the second one", "nothing", f"photographs are blended over one; {kept}")
+        kept = f"behind it a far shell of {shell} faces stays" if shell else "there is no far shell"
+        self._chose(
+            "layers: 1", "the second one", "nothing", f"photographs are blended over one layer; {kept}"
+        )
 
     def _storage(self, kept: tuple[View, ...]) -> Storage:
         """The least storage that costs no more than the limit, or that meets the wish for megabytes."""

@@ -1,4 +1,7 @@
-"""Which vertices a scene needs: those that training views, or views between them, can see."""
+"""Which vertices a scene needs: those that training views, or views between them, can see; and the far shell.
+
+The shell stays whole: behind what no view was expected to see, it is better than nothing.
+"""
 
 from __future__ import annotations
 
@@ -16,46 +19,42 @@ from nmbg.progress import progress_bar
 from nmbg.scene import Scene, evenly
 from nmbg.sight import look
 
-# Views that look, at most.
-MOST_VIEWS = 160
+# Views between training views that look, at most.
+MOST_BETWEEN = 160
 # A view's surface hides what stands further behind than this share of its depth.
 BEHIND = 0.03
 # Views see so much more on each side than their photographs, as a share of it: others stand beside them.
 MARGIN = 0.15
+# Neighbours of a training view; views look from halfway to each.
+NEIGHBOURS = 3
 
 
 def drop_unseen(scene: Scene) -> Scene:
     """The scene without faces that no training view sees, nor any view halfway between two neighbours."""
     cameras = [view.camera for view in scene.train]
-    looking = evenly([*cameras, *between(cameras)], MOST_VIEWS)
-    return part(scene, seen_faces(scene.mesh, [widened(camera) for camera in looking]))
+    looking = [*cameras, *evenly(between(cameras), MOST_BETWEEN)]
+    seen = seen_faces(scene.mesh, [widened(camera) for camera in looking])
+    seen[len(seen) - scene.shell_faces :] = True
+    return part(scene, seen)
 
 
 def part(scene: Scene, keep: npt.NDArray[np.bool_]) -> Scene:
-    """The scene with the chosen faces [M] bool of its mesh."""
-    first = len(scene.mesh.faces) - scene.shell_faces
-    shell = keep & (np.arange(len(keep)) >= first)
-    # Vertices without a face go, too.
-    return replace(
-        scene,
-        mesh=drop_unused(scene.mesh, keep),
-        shell_vertices=len(np.unique(scene.mesh.faces[shell])),
-        shell_faces=int(shell.sum()),
-    )
+    """The scene with the chosen faces [M] bool, the shell's among them, and the vertices that they use."""
+    shell = scene.mesh.faces[len(keep) - scene.shell_faces :]
+    return replace(scene, mesh=drop_unused(scene.mesh, keep), shell_vertices=len(np.unique(shell)))
 
 
 def between(cameras: Sequence[Camera]) -> list[Camera]:
-    """A camera halfway between each one and the one nearest to it."""
-    if len(cameras) < 2:
-        return []
+    """Cameras halfway between each one and those nearest to it."""
     centres = np.stack([camera.centre for camera in cameras])
     halfway = []
     for i, camera in enumerate(cameras):
         distance = np.linalg.norm(centres - centres[i], axis=1)
         distance[i] = np.inf
-        other = cameras[int(distance.argmin())]
-        R = Rotation.from_matrix(np.stack([camera.R, other.R])).mean().as_matrix()
-        halfway.append(replace(camera, R=R, t=-R @ (camera.centre + other.centre) / 2))
+        for j in distance.argsort(kind="stable")[: min(NEIGHBOURS, len(cameras) - 1)]:
+            other = cameras[int(j)]
+            R = Rotation.from_matrix(np.stack([camera.R, other.R])).mean().as_matrix()
+            halfway.append(replace(camera, R=R, t=-R @ (camera.centre + other.centre) / 2))
     return halfway
 
 
