@@ -23,6 +23,7 @@ import torch
 from timing import timed
 
 from nmbg import __version__
+from nmbg.allocator import keep_freed_memory
 from nmbg.atomic import atomic_file
 from nmbg.evaluation.machine import machine
 from nmbg.ops import blend_photos, mip_chain, reference
@@ -33,6 +34,8 @@ from nmbg.training.checkpoint import load_run
 SIZES = (480, 960, 1920)  # longer side, pixels
 CANDIDATES = (1, 7, 14, 28)
 REPEATS = 9
+
+keep_freed_memory()
 
 
 @click.command()

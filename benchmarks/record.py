@@ -12,10 +12,12 @@ from typing import Any
 import torch
 
 from nmbg import __version__
+from nmbg.allocator import keep_freed_memory
 from nmbg.atomic import atomic_file
 from nmbg.evaluation.machine import machine
 
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # as the command line does
+keep_freed_memory()
 
 
 def command() -> str:

@@ -13,6 +13,7 @@ from typing import NoReturn
 import click
 
 from nmbg import __version__
+from nmbg.allocator import keep_freed_memory
 from nmbg.errors import NmbgError
 
 # Threads that spin while they wait slow every step down severalfold when another program wants the cores.
@@ -21,6 +22,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 # Large tensors in huge pages, where the system has some: fewer faults. Torch reads this when it first
 # allocates.
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
+keep_freed_memory()
 
 COMMANDS = {
     "preprocess": "Turn a COLMAP workspace into a scene folder.",

@@ -68,7 +68,7 @@ py::object backward_coeffs(const py::array& grad_out, const py::array& index, co
     return with_type_of(coeffs, "coeffs", [&]<class T>() -> py::object {
         const Shading<T> shading = arguments.checked<T>();
         const T* grad_data = arguments.checked_grad<T>(grad_out);
-        py::array_t<T> grad = zeros<T>({coeffs.shape(0), coeffs.shape(1), coeffs.shape(2)});
+        py::array_t<T> grad({coeffs.shape(0), coeffs.shape(1), coeffs.shape(2)});
         T* grad_coeffs = grad.mutable_data();
         {
             py::gil_scoped_release release;

@@ -11,10 +11,10 @@
 
 namespace nmbg {
 
-// Calls work(pixels, first, end) for ranges [first, end) of the vertices, with the pixels, in ascending
-// order, that have a corner in the range. Ranges do not overlap, so that sums into their vertices are equal
-// to the last bit for any number of threads. corners(pixel, vertex) writes the K vertices of a pixel and
-// returns false where the pixel is empty.
+// Calls work(pixels, first, end) for ranges [first, end) of all vertices, with the pixels, in ascending
+// order, that have a corner in the range, if any. Ranges do not overlap, so that sums into their vertices
+// are equal to the last bit for any number of threads. corners(pixel, vertex) writes the K vertices of a
+// pixel and returns false where the pixel is empty.
 template <int K, class Corners, class Work>
 void scatter_by_owner(int64_t pixels, int64_t vertices, int threads, const Corners& corners,
                       const Work& work) {
@@ -37,7 +37,7 @@ void scatter_by_owner(int64_t pixels, int64_t vertices, int threads, const Corne
 
     parallel_for(blocks, threads, [&](int64_t owner) {
         const int64_t first = owner << log_block, end = (owner + 1) << log_block;
-        if (!bins[owner].empty()) work(bins[owner], first, std::min(vertices, end));
+        work(bins[owner], first, std::min(vertices, end));
     });
 }
 

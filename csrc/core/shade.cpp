@@ -49,6 +49,7 @@ void shade(const Shading<T>& s, T* out) {
 
 template <class T>
 void shade_backward_coeffs(const Shading<T>& s, const T* grad_out, T* grad_coeffs) {
+    const int64_t size = int64_t{s.basis} * s.channels;
     // The channels of a pixel next to each other, as they are needed.
     const auto grad = std::make_unique_for_overwrite<T[]>(s.pixels * s.channels);
     parallel_blocks(s.pixels, s.threads, [&](int64_t begin, int64_t end) {
@@ -62,6 +63,8 @@ void shade_backward_coeffs(const Shading<T>& s, const T* grad_out, T* grad_coeff
         };
         scatter_by_owner<K>(s.pixels, s.vertices, s.threads, corners_at,
                             [&](std::span<const int32_t> pixels, int64_t first, int64_t end) {
+                                // Here, where they stay in the cache for the sums.
+                                std::fill(grad_coeffs + first * size, grad_coeffs + end * size, T(0));
                                 add_pixels<K, B>(s, grad.get(), pixels, first, end, grad_coeffs);
                             });
     });

@@ -29,7 +29,7 @@ struct Shading {
 template <class T>
 void shade(const Shading<T>& shading, T* out);
 
-// grad_out [channels, pixels] → grad_coeffs [vertices, basis, channels], which comes zeroed.
+// grad_out [channels, pixels] → grad_coeffs [vertices, basis, channels].
 // Does not read shading.coeffs.
 template <class T>
 void shade_backward_coeffs(const Shading<T>& shading, const T* grad_out, T* grad_coeffs);
