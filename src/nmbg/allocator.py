@@ -12,8 +12,9 @@ _TRIM_THRESHOLD, _MMAP_MAX = -1, -4
 def keep_freed_memory() -> None:
     """Keep freed tensors' memory for those that come next, where the C library is glibc.
 
-    A step and a frame ask for the same hundreds of megabytes as the one before. glibc maps large blocks one by
-    one and hands them back to the system when they are freed: each of their pages then costs a fault again.
+    A step and a frame ask for the same hundreds of megabytes as the one before. glibc maps large blocks one
+    by one and hands them back to the system when they are freed: each of their pages then costs a fault
+    again.
     """
     if platform.libc_ver()[0] == "glibc":
         libc = ctypes.CDLL(None)
