@@ -7,6 +7,7 @@ from typing import Literal
 
 import torch
 
+from nmbg.capacity.judge import Judge
 from nmbg.model.config import ModelConfig
 from nmbg.model.cover import SourceCover, greedy_cover
 from nmbg.model.renderer import Renderer
@@ -63,19 +64,11 @@ def _enough(scene: Scene, order: list[View], model: ModelConfig) -> int:
     renderer = Renderer(replace(model, degree=0, widths=(), supersample=1), [scene.mesh])
     renderer.set_colours(mean_colours(renderer.layers))
     renderer.remember(scene, scene.train)
-    judges = evenly(scene.train, JUDGES)
+    judge = Judge(scene, evenly(scene.train, JUDGES))
 
     def psnr(count: int) -> float:
         dropped = {view.name for view in scene.train} - {view.name for view in order[:count]}
-        total = 0.0
-        for view in judges:
-            image = renderer.render(view.camera, without=dropped | {view.name})
-            error = (image - torch.from_numpy(scene.load_image(view)).permute(2, 0, 1) / 255).square().mean(0)
-            mask = scene.load_mask(view)
-            if mask is not None:
-                error = error[torch.from_numpy(mask)]
-            total -= 10 * float(torch.log10(error.mean().clamp(min=1e-10)))
-        return total / len(judges)
+        return judge.psnr(lambda view: renderer.render(view.camera, without=dropped | {view.name}))
 
     # Fewer photographs show less: the number is found by halving.
     too_few, enough = 0, len(order)

@@ -59,9 +59,8 @@ def shared(module: nn.Module) -> nn.Module:
         return module
     # Statistics of BatchNorm are averaged where they are written down, not at every step.
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", FutureWarning
-        )  # newer releases rename the option, older lack the name
+        # Newer releases rename the option; older ones lack the new name.
+        warnings.simplefilter("ignore", FutureWarning)
         return DistributedDataParallel(module, broadcast_buffers=False)
 
 
