@@ -121,7 +121,7 @@ class PhotoCount(click.ParamType[int | str]):
 @click.option("--seed", type=int, default=0, show_default=True)
 @device_option
 @click.option(
-    "--bf16/--no-bf16", default=None, help="bfloat16 network and loss  [default: where the machine has it]"
+    "--bf16/--no-bf16", default=None, help="bfloat16 network and loss  [default: where it is faster here]"
 )
 @threads_option
 @click.option("--cache", "cache_gib", type=click.FloatRange(min=0), help="Memory for fragments, GiB.")
@@ -213,6 +213,7 @@ def _memory_named(config: TrainConfig) -> Iterator[None]:
 def _config(preset: str, device: str, options: dict[str, Any], scenes: int) -> TrainConfig:
     """The preset with what was asked for."""
     from nmbg.training.full import EPOCHS
+    from nmbg.training.precision import bf16_is_faster
 
     given = {name: value for name, value in options.items() if value is not None}
     if given.keys() & {"minutes", "iterations", "epochs"}:
@@ -221,7 +222,8 @@ def _config(preset: str, device: str, options: dict[str, Any], scenes: int) -> T
         given |= {"minutes": None, "iterations": None, "epochs": EPOCHS}
     elif PRESETS[preset].stages and PRESETS[preset].epochs is None:
         given["minutes"] = MINUTES
-    given.setdefault("bf16", _has_bf16(device))
+    if "bf16" not in given:
+        given["bf16"] = bf16_is_faster(device)
     if given.get("perceptual", "none") != "none" and not any(s.perceptual for s in PRESETS[preset].stages):
         raise NmbgError(f"--perceptual: preset {preset} trains without L_rec; leave it out")
     if "photos" in given and not PRESETS[preset].model.sources:
@@ -251,13 +253,3 @@ def _refuse_options(context: click.Context) -> None:
             raise NmbgError(
                 f"{parameter.opts[0]}: a resumed run keeps its own options; leave it out, or train anew"
             )
-
-
-def _has_bf16(device: str) -> bool:
-    """Whether bfloat16 convolutions are faster than float32 ones: only where the hardware multiplies them."""
-    import torch
-
-    if device == "cuda":
-        return bool(torch.cuda.is_bf16_supported())
-    # AVX-512's own bfloat16 instructions take twice as long as float32 ones: docs/performance.md.
-    return bool(torch.cpu._is_amx_tile_supported())
