@@ -29,7 +29,7 @@ from nmbg.training.log import COLUMNS, Log
 from nmbg.training.member import Member
 from nmbg.training.optimiser import Part, descend, differentiate, network_part
 from nmbg.training.schedule import Schedule
-from nmbg.training.statistics import VIEWS, renew_statistics
+from nmbg.training.statistics import SETTLE, VIEWS, hold_statistics, renew_statistics
 from nmbg.training.targets import PerceptualTerm
 from nmbg.training.views import Example, Views
 
@@ -117,6 +117,7 @@ class Loop:
         self.schedule = Schedule(crew.counts, config.artificial_views, config.seed, crew.length)
         self.budget = Budget(config, self.schedule.length, clock)
         self.step, self.stage, self.caution = state.step, state.stage, state.caution
+        self.settled = state.settled
         if state.length and state.length != self.schedule.length:
             # Other processes: the same share of the passes is over.
             self.step = round(state.step * self.schedule.length / state.length)
@@ -152,8 +153,8 @@ class Loop:
                     self._leave_out(attempt, finite)
                 else:
                     self._descend(attempt, done)
-                if progress >= 1:
-                    self._renew_statistics(attempt.stage)
+                if progress >= SETTLE and not self.settled:
+                    self._settle(attempt.stage)
                 if not bad and (int(REPORTS * progress) > int(REPORTS * before) or progress >= 1):
                     self._report(log, progress, attempt)
                 bar.update(task, completed=100 * progress)
@@ -184,6 +185,7 @@ class Loop:
                 self.stage,
                 self.caution,
                 dict(self.skipped),
+                settled=self.settled,
             ),
             states,
         )
@@ -200,6 +202,8 @@ class Loop:
         turn = self.schedule.turn(self.step)
         member = self.crew.member(turn.scene)
         member.renderer.train()
+        if self.settled and self.crew.network is not None:
+            hold_statistics(self.crew.network)
         example = member.example(turn.view, self.step)
         statistics = _statistics(self.crew.network)
         random = torch.Generator().manual_seed(self.config.seed * 1_000_003 + self.step + 1)
@@ -218,8 +222,8 @@ class Loop:
             loss = self.adversary.learn(attempt.image, photograph, attempt.random)
             attempt.terms["discriminator"] = loss
 
-    def _renew_statistics(self, stage: Stage) -> None:
-        """Give the trained network the statistics of the views that it was trained on."""
+    def _settle(self, stage: Stage) -> None:
+        """Give the network the statistics of all views that it is trained on, for the rest of the training."""
 
         def shows() -> Iterator[Callable[[], Tensor]]:
             for scene in range(len(self.crew.counts)):
@@ -229,6 +233,8 @@ class Loop:
 
         if self.crew.network is not None:
             renew_statistics(self.crew.network, shows())
+            processes.average_buffers(self.crew.network)
+        self.settled = True
 
     @torch.no_grad()
     def _show(self, member: Member, stage: Stage, example: Example) -> Tensor:
