@@ -223,7 +223,7 @@ class Loop:
             attempt.terms["discriminator"] = loss
 
     def _settle(self, stage: Stage) -> None:
-        """Give the network the statistics of all views that it is trained on, for the rest of the training."""
+        """Give the network the statistics of all its training views, for the rest of the training."""
 
         def shows() -> Iterator[Callable[[], Tensor]]:
             for scene in range(len(self.crew.counts)):
