@@ -24,6 +24,7 @@ from nmbg.training.config import PRESETS, VGG_TO_RELU3, TrainConfig
 from nmbg.training.trainer import train
 
 METRICS = ("psnr", "ssim", "ssim_svs", "lpips")
+TRAINING_VIEWS = 16  # that are judged beside the held-out ones
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,8 @@ class Sweep:
                 "skipped": progress.skipped,
             }
             if split:
-                figures["train_psnr"] = evaluate(run, ["psnr"], split="train").mean["psnr"]
+                training = evaluate(run, ["psnr"], split="train", at_most=TRAINING_VIEWS)
+                figures["train_psnr"] = training.mean["psnr"]
         record = {
             "scene": job.scene.name,
             "stressed": None if job.stressed is None else job.stressed.key,

@@ -12,11 +12,9 @@ from nmbg.training.member import split_training
 from nmbg.training.trainer import train
 
 
-def test_statistics_are_those_of_all_views(
-    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(loop, "SETTLE", 1.0)  # of the network as it is written
-    config = replace(PRESETS["npbg-mesh"], perceptual="none", iterations=6)
+def test_statistics_are_those_of_all_views(scene_folder: Path, tmp_path: Path) -> None:
+    # Of the network as it is written.
+    config = replace(PRESETS["npbg-mesh"], perceptual="none", iterations=6, settle=1.0)
     run = checkpoint.load_run(train(Scene.load(scene_folder), config, tmp_path / "run"))
     network = run.renderer.network
     assert network is not None

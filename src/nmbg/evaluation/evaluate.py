@@ -31,6 +31,7 @@ def evaluate(
     split: Split = "test",
     device: str = "cpu",
     table: str | None = None,
+    at_most: int | None = None,
 ) -> Report:
     """Render a split's views, measure them, and write results, pictures and report.html into the run folder.
 
@@ -44,6 +45,7 @@ def evaluate(
         split: which views.
         device: "cpu" or "cuda".
         table: published results to show in the report, a key of TABLES; None: by the scene's name.
+        at_most: so many views alone, spread evenly over the split.
 
     Raises:
         NmbgError: the run, its scene or the weights are not usable, or a view is not finite.
@@ -53,6 +55,8 @@ def evaluate(
     scene = load_views(run_folder, whole)
     measures = make_metrics(metrics, lpips_net, weights, torch.device(device))
     views = views_to_judge(scene, measures, split)
+    count = min(len(views), at_most or len(views))
+    views = tuple(views[(i * len(views)) // count] for i in range(count))
     show = _shows(run, scene, split)
     show(views[0])  # the first frame also pays for allocations
     seconds: dict[str, float] = {}

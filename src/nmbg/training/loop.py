@@ -29,7 +29,7 @@ from nmbg.training.log import COLUMNS, Log
 from nmbg.training.member import Member
 from nmbg.training.optimiser import Part, descend, differentiate, network_part
 from nmbg.training.schedule import Schedule
-from nmbg.training.statistics import SETTLE, VIEWS, hold_statistics, renew_statistics
+from nmbg.training.statistics import VIEWS, hold_statistics, renew_statistics
 from nmbg.training.targets import PerceptualTerm
 from nmbg.training.views import Example, Views
 
@@ -153,7 +153,7 @@ class Loop:
                     self._leave_out(attempt, finite)
                 else:
                     self._descend(attempt, done)
-                if progress >= SETTLE and not self.settled:
+                if not self.settled and progress >= self.config.settle:
                     self._settle(attempt.stage)
                 if not bad and (int(REPORTS * progress) > int(REPORTS * before) or progress >= 1):
                     self._report(log, progress, attempt)

@@ -7,10 +7,6 @@ from collections.abc import Callable, Iterable
 from torch import Tensor, nn
 from torch.optim.swa_utils import update_bn
 
-# Share of a training after which statistics are held. With one image a step they are that image's alone,
-# which a new view is not normalised by: without holding them, the preset `npbg` is off by a colour of each
-# view, which costs 3.5 dB on training views and 0.9 dB on held-out ones (docs/method.md).
-SETTLE = 0.4
 VIEWS = 20  # of each scene, spread evenly
 
 
