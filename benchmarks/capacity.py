@@ -26,9 +26,10 @@ from timing import alternate
 
 from nmbg.capacity.cost import multiply_adds
 from nmbg.capacity.export import export_compact
+from nmbg.evaluation.cost import run_bytes
 from nmbg.evaluation.evaluate import evaluate
 from nmbg.scene import Scene
-from nmbg.training.checkpoint import latest_checkpoint, load_run
+from nmbg.training.checkpoint import load_run
 from nmbg.training.config import PRESETS, TrainConfig
 
 
@@ -82,30 +83,11 @@ def _compare(scene: Path, runs: list[Path], repeats: int, weights: Path) -> dict
         mean = evaluate(folder, METRICS, lpips_net="squeeze", weights=weights).mean
         found[name] = {
             **mean,
-            "bytes": _parts(folder),
+            "bytes": run_bytes(folder),
             "multiply_adds": multiply_adds(run.renderer, camera),
             "times": times[name],
         }
     return found
-
-
-def _parts(run: Path) -> dict[str, int]:
-    """Bytes that rendering needs, by part."""
-    checkpoint = latest_checkpoint(run)
-    assert checkpoint is not None
-    parts = {
-        "photographs": [run / "scene" / "images", run / "scene" / "masks"],
-        "geometry": list((run / "scene").glob("geometry.*")),
-        "descriptors": [checkpoint / "descriptors.safetensors"],
-        "network": [checkpoint / "network.safetensors"],
-        "text": [run / "config.yaml", run / "views.json", run / "scene" / "scene.json"],
-    }
-    return {name: sum(map(_bytes, paths)) for name, paths in parts.items()}
-
-
-def _bytes(path: Path) -> int:
-    files = path.rglob("*") if path.is_dir() else [path]
-    return sum(file.stat().st_size for file in files if file.is_file())
 
 
 def _table(results: dict[str, Any]) -> str:
@@ -114,7 +96,7 @@ def _table(results: dict[str, Any]) -> str:
     machine = results["machine"]
     lines = [
         f"`--capacity auto`, exported compactly, beside `full`: {told} a run, {machine['cpu']}, "
-        f"{machine['threads']} threads. MB: photographs + geometry + descriptors + network + text.",
+        f"{machine['threads']} threads. MB: photographs + geometry + descriptors + network.",
         "",
         "| scene, seed | size | PSNR / SSIM / LPIPS | MB | multiply-adds a frame, G | ms / frame |",
         "|---|---|---|---|---|---|",

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.nn.functional as F
+from warp import places
 
 from nmbg.atomic import atomic_folder
 from nmbg.cameras import Camera
@@ -53,16 +54,9 @@ def warp(scene: Scene, camera: Camera, source: Camera, photograph: Image) -> Ima
     Nothing asks whether the photograph sees that surface; black where there is no surface, or where the
     photograph ends.
     """
-    depth = look(scene.mesh, camera).depth.numpy().astype(np.float64)
-    u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-    pixels = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(camera.K).T
-    points = (pixels * depth[..., None] - camera.t) @ camera.R
-    projected = (points @ source.R.T + source.t) @ source.K.T
-    z = projected[..., 2]
-    seen = (depth > 0) & (z > 0)
-    place = projected[..., :2] / np.where(seen, z, 1)[..., None]
-    grid = torch.from_numpy(2 * place / (source.width, source.height) - 1).float()[None]
+    depth = look(scene.mesh, camera).depth
+    grid, _ = places(source, camera, depth)
     texels = torch.from_numpy(photograph).permute(2, 0, 1).float()[None]
-    shown = F.grid_sample(texels, grid, padding_mode="zeros", align_corners=False)[0].permute(1, 2, 0)
-    image: Image = (shown.numpy() * seen[..., None]).round().clip(0, 255).astype(np.uint8)
+    shown = F.grid_sample(texels, grid[None], padding_mode="zeros", align_corners=False)[0]
+    image: Image = (shown * (depth > 0)).permute(1, 2, 0).round().to(torch.uint8).numpy()
     return image

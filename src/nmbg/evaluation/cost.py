@@ -30,11 +30,32 @@ def run_cost(run: Path) -> Cost:
     Raises:
         NmbgError: it has no checkpoint, or a damaged one.
     """
-    checkpoint = latest_checkpoint(run)
-    if checkpoint is None:
-        raise NmbgError(f"{run}: no checkpoint yet; continue it with nmbg train --resume")
-    files = [*(run / SCENE).rglob("*"), *checkpoint.glob("*.safetensors")]
     return {
-        "train_seconds": load_progress(checkpoint).seconds,
-        "megabytes": sum(file.stat().st_size for file in files if file.is_file()) / 1e6,
+        "train_seconds": load_progress(_checkpoint(run)).seconds,
+        "megabytes": sum(run_bytes(run).values()) / 1e6,
     }
+
+
+def run_bytes(run: Path) -> dict[str, int]:
+    """What rendering needs of a run folder, by part, bytes.
+
+    Raises:
+        NmbgError: it has no checkpoint.
+    """
+    scene, checkpoint = run / SCENE, _checkpoint(run)
+    parts = {
+        "photographs": [file for kind in ("images", "masks") for file in (scene / kind).rglob("*")],
+        "geometry": list(scene.glob("*")),
+        "descriptors": list(checkpoint.glob("descriptors.*")),
+        "network": list(checkpoint.glob("network.*")),
+    }
+    return {
+        name: sum(file.stat().st_size for file in files if file.is_file()) for name, files in parts.items()
+    }
+
+
+def _checkpoint(run: Path) -> Path:
+    found = latest_checkpoint(run)
+    if found is None:
+        raise NmbgError(f"{run}: no checkpoint yet; continue it with nmbg train --resume")
+    return found
