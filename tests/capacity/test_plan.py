@@ -31,7 +31,7 @@ def run(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_choice_is_written_with_its_reason(run: Path) -> None:
     _, config = checkpoint.load_one(run)
     told = [choice.choice.partition(":")[0] for choice in config.choices]
-    for part in ("vertices", "layers", "photographs", "samples a pixel", "harmonics", "network"):
+    for part in ("vertices", "layers", "photographs", "faces", "samples a pixel", "harmonics", "network"):
         assert part in told
     assert all(choice.reason and choice.saves and choice.costs for choice in config.choices)
 

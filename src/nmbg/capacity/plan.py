@@ -16,6 +16,7 @@ from nmbg.capacity.judge import JUDGES, LIMIT, Judge, Score
 from nmbg.capacity.network import race
 from nmbg.capacity.photographs import choose_photographs
 from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, SUFFIX, Storage, store, stored_bytes
+from nmbg.capacity.thinning import THINNING_LIMIT, halved
 from nmbg.capacity.vertices import drop_unseen
 from nmbg.errors import NmbgError
 from nmbg.images import can_write
@@ -83,6 +84,7 @@ class _Sizing:
         n = len(self.scene.train)
         left = "the views that judge need them all" if len(kept) == n else "the rest shows nothing new"
         self._chose(f"photographs: {len(kept)} of {n}", f"{n - len(kept)} files", "0.01 dB at most", left)
+        self._thinning(kept)
         storage = self._storage(kept)
         self._samples(kept)
         fit = self._harmonics(kept)
@@ -112,6 +114,24 @@ class _Sizing:
         self._chose(
             "layers: 1", "the second one", "nothing", f"photographs are blended over one layer; {kept}"
         )
+
+    def _thinning(self, kept: tuple[View, ...]) -> None:
+        """Half of the faces, and half of these, as long as it costs no more than the limit."""
+        before = len(self.scene.mesh.faces)
+        best = score = self.judge.score(self._predicted(self.scene, kept))
+        while True:
+            fewer = halved(self.scene)
+            if len(fewer.mesh.faces) == len(self.scene.mesh.faces):
+                why = "no edge can go"
+                break
+            found = self.judge.score(self._predicted(fewer, kept))
+            if not found.within(best, THINNING_LIMIT):
+                why = f"half of them costs {found.cost_beside(best)}"
+                break
+            self.scene, score = fewer, found
+        after = len(self.scene.mesh.faces)
+        saved = f"{1 - after / before:.0%} of them" if after < before else "nothing"
+        self._chose(f"faces: {after} of {before}", saved, score.cost_beside(best), why)
 
     def _storage(self, kept: tuple[View, ...]) -> Storage:
         """The least storage that costs no more than the limit, or that meets the wish for megabytes."""
@@ -215,11 +235,11 @@ class _Sizing:
         return self.judge.score(lambda view: renderer.render(view.camera, without={view.name}))
 
     def _predicted(
-        self, photographs: Scene, kept: tuple[View, ...], supersample: int = 1
+        self, scene: Scene, kept: tuple[View, ...], supersample: int = 1
     ) -> Callable[[View], Tensor]:
-        """Views as photographs over the vertices' mean colours show them."""
+        """Views as a scene's photographs over its vertices' mean colours show them."""
         model: ModelConfig = replace(self.config.model, degree=0, widths=(), supersample=supersample)
-        renderer = Renderer(model, [self.scene.mesh])
+        renderer = Renderer(model, [scene.mesh])
         renderer.set_colours(mean_colours(renderer.layers))
-        renderer.remember(photographs, kept)
+        renderer.remember(scene, kept)
         return lambda view: renderer.render(view.camera, without={view.name})

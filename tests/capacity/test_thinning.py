@@ -1,0 +1,57 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from scipy.spatial import cKDTree
+
+from nmbg.capacity.plan import plan
+from nmbg.capacity.thinning import halved
+from nmbg.mesh import Mesh, merge
+from nmbg.scene import Scene
+from nmbg.training.config import PRESETS
+
+PHOTOS = replace(PRESETS["photos"], capacity="auto")
+
+
+def subdivided(scene: Scene, times: int) -> Scene:
+    """The same surface in 4ᵗⁱᵐᵉˢ as many faces."""
+    vertices, faces = scene.mesh.vertices, scene.mesh.faces
+    for _ in range(times):
+        vertices, faces = trimesh.remesh.subdivide(vertices, faces)
+    _, nearest = cKDTree(scene.mesh.vertices).query(vertices)
+    fine = Mesh(vertices.astype(np.float32), faces.astype(np.int32), scene.mesh.colours[nearest])
+    return replace(scene, mesh=fine, shell_vertices=0, shell_faces=0)
+
+
+def test_half_of_the_faces_lie_on_the_same_surface(scene_folder: Path) -> None:
+    scene = subdivided(Scene.load(scene_folder), 1)
+    less = halved(scene)
+    assert abs(len(less.mesh.faces) - len(scene.mesh.faces) // 2) <= 2
+    surface = trimesh.Trimesh(scene.mesh.vertices, scene.mesh.faces, process=False)
+    distance, _ = cKDTree(surface.vertices).query(less.mesh.vertices)
+    assert np.median(distance) < 0.25 * surface.edges_unique_length.mean()
+
+
+def test_the_shell_stays_as_it_is(scene_folder: Path) -> None:
+    scene = Scene.load(scene_folder)
+    sphere = trimesh.creation.icosphere(subdivisions=2, radius=30)
+    shell = Mesh(
+        sphere.vertices.astype(np.float32),
+        sphere.faces.astype(np.int32),
+        np.zeros((len(sphere.vertices), 3), np.uint8),
+    )
+    n, m = len(shell.vertices), len(shell.faces)
+    less = halved(replace(scene, mesh=merge(scene.mesh, shell), shell_vertices=n, shell_faces=m)).mesh
+    assert np.array_equal(less.vertices[-n:], shell.vertices)
+    assert np.array_equal(less.faces[-m:] - (len(less.vertices) - n), shell.faces)
+    assert less.faces[:-m].max() < len(less.vertices) - n
+
+
+def test_faces_that_no_pixel_resolves_go(scene_folder: Path) -> None:
+    scene = Scene.load(scene_folder)
+    fine = subdivided(scene, 2)
+    planned = plan(fine, PHOTOS)
+    assert len(planned.scene.mesh.faces) < len(fine.mesh.faces) / 4
+    (told,) = (choice for choice in planned.config.choices if choice.choice.startswith("faces:"))
+    assert told.choice.startswith(f"faces: {len(planned.scene.mesh.faces)} of ")
