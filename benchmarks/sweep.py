@@ -8,7 +8,7 @@ import shutil
 import statistics
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +46,7 @@ class Job:
     @property
     def key(self) -> str:
         """What it is kept under: scene, preset, and a hash of everything that decides it."""
-        settings = json.dumps([self.name, asdict(self.config), str(self.init)], sort_keys=True)
+        settings = json.dumps([self.name, _given(self.config), str(self.init)], sort_keys=True)
         digest = hashlib.sha256(settings.encode()).hexdigest()[:12]
         return f"{self.name}-{self.config.preset}-{digest}"
 
@@ -54,6 +54,16 @@ class Job:
     def name(self) -> str:
         """The scene's, and what was done to it."""
         return self.scene.name if self.stressed is None else f"{self.scene.name}-{self.stressed.key}"
+
+
+def _given(value: Any) -> Any:
+    """Settings without those at their default: an option that is added later changes nothing that is kept."""
+    if isinstance(value, tuple):
+        return [_given(part) for part in value]
+    if not is_dataclass(value):
+        return value
+    found = {f.name: (getattr(value, f.name), f.default) for f in fields(value)}
+    return {name: _given(given) for name, (given, default) in found.items() if given != default}
 
 
 class Sweep:

@@ -10,7 +10,7 @@ from nmbg.cameras import Camera
 from nmbg.demo.capture import CaptureConfig, make_capture
 from nmbg.errors import NmbgError
 from nmbg.preprocess import PreprocessOptions, preprocess
-from nmbg.reconstruct.poses import _step, _without_common_motion, refine_poses
+from nmbg.reconstruct.poses import _step, refine_poses, without_common_motion
 from nmbg.scene import Scene
 from nmbg.training import checkpoint
 
@@ -86,7 +86,7 @@ def test_what_all_cameras_do_together_is_undone() -> None:
     ]
     turn, shift = Rotation.from_rotvec([0.1, -0.2, 0.05]).as_matrix(), np.array([0.3, 0.1, -0.2])
     together = [replace(c, R=c.R @ turn.T, t=c.t - c.R @ turn.T @ shift) for c in cameras]
-    for before, after in zip(cameras, _without_common_motion(cameras, together), strict=True):
+    for before, after in zip(cameras, without_common_motion(cameras, together), strict=True):
         np.testing.assert_allclose(after.R, before.R, atol=1e-9)
         np.testing.assert_allclose(after.centre, before.centre, atol=1e-9)
 
@@ -110,7 +110,7 @@ def test_disturbed_poses_come_back_on_a_capture(tmp_path: Path) -> None:
 
     assert np.median(errors(good)) < 0.7 * np.median(errors(bad))
     # Sound poses are better than what alignment finds.
-    assert refine_poses(scene, rounds=3) is scene
+    assert refine_poses(scene, blurs=(2, 1, 0)) is scene
     for before, after in zip(scene.test, good.test, strict=True):
         np.testing.assert_array_equal(before.camera.projection, after.camera.projection)
 

@@ -31,20 +31,20 @@ from nmbg.training.start import ColourFit
 
 # Longer side of the images that are aligned, pixels, and how often they are.
 SIZE = 480
-ROUNDS = 8
 FOLDS = 4
 # Colours that differ by more count as of this difference: they show something else.
 ROBUST = 0.05
-# Rounds of 3 × 3 means over photograph and colours: their gradients reach as far.
-BLUR = 2
+# Rounds of alignment, and in each how many 3 × 3 means are taken over photograph and colours: their gradients
+# reach as far. What is left of rough poses in the end takes sharp images to see.
+BLURS = (2, 2, 2, 2, 1, 1, 1, 0, 0, 0)
 # Neighbouring pixels whose depths differ by this factor stand on an outline, which moves with the geometry.
 JUMP = 1.05
 # How far given poses may be off: an angle, and a share of the foreground sphere's radius. To be as far away
 # costs as much as colours that differ by PRIOR more on average: what the photographs hardly tell, as a turn
 # from a step aside before a distant surface, stays as it was given.
-ANGLE, DISTANCE, PRIOR = np.radians(0.2), 0.005, 0.004
+ANGLE, DISTANCE, PRIOR = np.radians(0.2), 0.005, 0.0004
 # Poses that are sound to within so many pixels of these images are better than what alignment finds: on true
-# poses it moved what is seen by 0.14 pixels, and new views lost 0.2 to 0.7 dB.
+# poses it moved what is seen by 0.23 pixels, and new views lost 0.2 to 0.7 dB.
 LEAST_SHIFT = 0.5
 # So many pixels at least tell six parameters.
 LEAST_PIXELS = 500
@@ -54,21 +54,21 @@ Array = npt.NDArray[np.float64]
 _COLOURS = ModelConfig(degree=1, features=3, points=False, widths=(), colour_skip=True)
 
 
-def refine_poses(scene: Scene, rounds: int = ROUNDS) -> Scene:
+def refine_poses(scene: Scene, blurs: Sequence[int] = BLURS) -> Scene:
     """The scene with the poses of its training views refined, where these are rough.
 
     The held-out views stay as they are.
 
     Args:
         scene: only its training views are read.
-        rounds: of alignment.
+        blurs: of each round of alignment, how often photograph and colours are smoothed.
     """
     given = views = {view.name: view for view in scene.train}
     if len(views) < FOLDS:
         return scene
     with progress_bar() as bar:
-        for _ in bar.track(range(rounds), description="refining poses"):
-            views = _round(scene, views)
+        for blur in bar.track(blurs, description="refining poses"):
+            views = _round(scene, views, blur)
     shift = float(np.median([_shift(scene, given[name].camera, views[name].camera) for name in views]))
     if shift < LEAST_SHIFT:
         console.print(f"the poses stay as they are: refining them moves what is seen by {shift:.2f} pixels")
@@ -88,23 +88,23 @@ def _shift(scene: Scene, before: Camera, after: Camera) -> float:
     return float(moved.mean()) if len(moved) else 0.0
 
 
-def _round(scene: Scene, views: dict[str, View]) -> dict[str, View]:
+def _round(scene: Scene, views: dict[str, View], blur: int) -> dict[str, View]:
     fit = ColourFit([scene.mesh], scene, list(views.values()), _COLOURS.bases, FOLDS, quiet=True)
     renderers = []
     for fold in range(FOLDS):
         renderers.append(Renderer(_COLOURS, [scene.mesh]))
         renderers[-1].set_colours(fit.coefficients(without=fold))
     aligned = {
-        view.name: _aligned(scene, views[view.name], view.camera, renderers[fit.fold_of(view)])
+        view.name: _aligned(scene, views[view.name], view.camera, renderers[fit.fold_of(view)], blur)
         for view in scene.train
     }
     before = [view.camera for view in views.values()]
-    after = _without_common_motion(before, list(aligned.values()))
+    after = without_common_motion(before, list(aligned.values()))
     return {name: replace(view, camera=c) for (name, view), c in zip(views.items(), after, strict=True)}
 
 
 @torch.no_grad()
-def _aligned(scene: Scene, view: View, given: Camera, colours: Renderer) -> Camera:
+def _aligned(scene: Scene, view: View, given: Camera, colours: Renderer, blur: int) -> Camera:
     """The view's camera after one Gauss-Newton step; `given` is the one that it began with."""
     small = view.camera.within(SIZE)
     image = torch.from_numpy(resize(scene.load_image(view), small.width, small.height)).permute(2, 0, 1) / 255
@@ -114,7 +114,7 @@ def _aligned(scene: Scene, view: View, given: Camera, colours: Renderer) -> Came
     assert face is not None
     colour = colours.colour([fragments], small)
     counted = torch.from_numpy(mask_at(scene.load_mask(view), small)) & (face >= 0)
-    image = _blurred(fit_exposure(image, colour, counted).undo(image))
+    image = _blurred(fit_exposure(image, colour, counted).undo(image), blur)
     counted &= _smooth(depth)
     moved = np.concatenate(
         [
@@ -123,7 +123,7 @@ def _aligned(scene: Scene, view: View, given: Camera, colours: Renderer) -> Came
         ]
     )
     doubt = PRIOR / np.repeat([ANGLE, DISTANCE * scene.radius], 3) ** 2
-    twist = _step(small, image, _blurred(colour), depth, counted, doubt, moved)
+    twist = _step(small, image, _blurred(colour, blur), depth, counted, doubt, moved)
     turn = Rotation.from_rotvec(twist[:3]).as_matrix()
     return replace(view.camera, R=turn @ view.camera.R, t=turn @ view.camera.t + twist[3:])
 
@@ -164,8 +164,8 @@ def _step(
     return twist
 
 
-def _blurred(image: Tensor) -> Tensor:
-    for _ in range(BLUR):
+def _blurred(image: Tensor, times: int) -> Tensor:
+    for _ in range(times):
         image = F.avg_pool2d(image[None], 3, 1, 1, count_include_pad=False)[0]
     return image
 
@@ -177,7 +177,7 @@ def _smooth(depth: Tensor) -> Tensor:
     return (smallest > 0) & (largest < JUMP * smallest)
 
 
-def _without_common_motion(before: Sequence[Camera], after: Sequence[Camera]) -> list[Camera]:
+def without_common_motion(before: Sequence[Camera], after: Sequence[Camera]) -> list[Camera]:
     """Cameras `after`, less the rigid motion that brings those `before` nearest to them."""
     centres = np.stack([camera.centre for camera in before])
     reach = max(float(np.linalg.norm(centres - centres.mean(0), axis=1).mean()), 1e-12)
