@@ -30,7 +30,7 @@ from nmbg.training.checkpoint import load_run
 
 SHOWN = ("mesh", "photos", "npbg", "paper", "nmbg")
 # Steps of about one minute, reading the scene and fitting it included.
-ITERATIONS = {"mesh": 1000, "npbg": 100, "paper": 50, "nmbg": 60}
+ITERATIONS = {"mesh": 430, "npbg": 220, "paper": 135, "nmbg": 800}
 SEEDS = 3
 GROUPS = ("views", "geometry", "cameras", "photographs", "model", "rendering", "seeds")
 

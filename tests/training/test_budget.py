@@ -20,6 +20,16 @@ def test_minutes_count_the_time_of_all_sessions() -> None:
     assert Budget(config, 7, Clock(before=121)).progress(0) == 1
 
 
+def test_minutes_end_early_when_the_views_were_seen_often_enough() -> None:
+    config = replace(CONFIG, minutes=60, passes=3)
+    assert Budget(config, 7, Clock()).progress(7) == pytest.approx(1 / 3)
+    assert Budget(config, 7, Clock()).progress(21) == 1
+    assert Budget(config, 7, Clock(before=1800)).progress(7) == pytest.approx(0.5, abs=0.01)
+    # Who asks for steps gets them.
+    asked = replace(config, minutes=None, iterations=100)
+    assert Budget(asked, 7, Clock()).progress(50) == 0.5
+
+
 @pytest.mark.parametrize("config", [replace(CONFIG, iterations=0), replace(CONFIG, stages=())])
 def test_nothing_to_do_is_over_at_once(config: TrainConfig) -> None:
     assert Budget(config, 7, Clock()).progress(0) == 1

@@ -40,12 +40,14 @@ class Budget:
         self.clock = clock
         self.seconds = None if config.minutes is None else 60 * config.minutes
         self.steps = config.iterations if config.epochs is None else config.epochs * n_steps
+        self.enough = None if config.passes is None else config.passes * n_steps
         self._ends = _stage_ends(config.stages)
 
     def progress(self, step: int) -> float:
         """Share of the budget that is spent after `step` steps, in [0, 1]."""
         if self.seconds is not None:
-            return min(1.0, self.clock.seconds / self.seconds)
+            steps = step / self.enough if self.enough else 0.0
+            return min(1.0, max(steps, self.clock.seconds / self.seconds))
         return min(1.0, step / self.steps) if self.steps else 1.0
 
     def stage(self, progress: float) -> tuple[int, float]:
