@@ -37,6 +37,7 @@ tr.ours, td.best { font-weight: bold; background: #f2f7ff; }
 figure { margin: 0; }
 figure img { max-width: 100%; height: auto; display: block; background: #181818; outline: 1px solid #ccc; }
 figcaption, .note { color: #555; font-size: .88rem; }
+figcaption { width: 0; min-width: 100%; }
 svg { max-width: 100%; height: auto; }
 </style>
 </head>
