@@ -222,7 +222,7 @@ def _config(preset: str, device: str, options: dict[str, Any], scenes: int) -> T
         given |= {"minutes": None, "iterations": None, "epochs": EPOCHS}
     elif PRESETS[preset].stages and PRESETS[preset].epochs is None:
         given["minutes"] = MINUTES
-    if "bf16" not in given:
+    if "bf16" not in given and PRESETS[preset].model.widths:
         given["bf16"] = bf16_is_faster(device)
     if given.get("perceptual", "none") != "none" and not any(s.perceptual for s in PRESETS[preset].stages):
         raise NmbgError(f"--perceptual: preset {preset} trains without L_rec; leave it out")

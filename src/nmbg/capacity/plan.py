@@ -84,9 +84,9 @@ class _Sizing:
         n = len(self.scene.train)
         left = "the views that judge need them all" if len(kept) == n else "the rest shows nothing new"
         self._chose(f"photographs: {len(kept)} of {n}", f"{n - len(kept)} files", "0.01 dB at most", left)
-        self._thinning(kept)
+        score = self._thinning(kept)
         storage = self._storage(kept)
-        self._samples(kept)
+        self._samples(kept, score)
         fit = self._harmonics(kept)
         network = self._network(kept, fit) if self.config.model.widths else None
         config = replace(self.config, choices=tuple(self.choices))
@@ -115,8 +115,8 @@ class _Sizing:
             "layers: 1", "the second one", "nothing", f"photographs are blended over one layer; {kept}"
         )
 
-    def _thinning(self, kept: tuple[View, ...]) -> None:
-        """Half of the faces, and half of these, as long as it costs no more than the limit."""
+    def _thinning(self, kept: tuple[View, ...]) -> Score:
+        """Half of the faces, and half of these, as long as it costs no more than the limit; what is left."""
         before = len(self.scene.mesh.faces)
         best = score = self.judge.score(self._predicted(self.scene, kept))
         while True:
@@ -132,6 +132,7 @@ class _Sizing:
         after = len(self.scene.mesh.faces)
         saved = f"{1 - after / before:.0%} of them" if after < before else "nothing"
         self._chose(f"faces: {after} of {before}", saved, score.cost_beside(best), why)
+        return score
 
     def _storage(self, kept: tuple[View, ...]) -> Storage:
         """The least storage that costs no more than the limit, or that meets the wish for megabytes."""
@@ -166,12 +167,11 @@ class _Sizing:
         self._chose(f"photographs: {chosen}", saved, score.cost_beside(best), why)
         return chosen
 
-    def _samples(self, kept: tuple[View, ...]) -> None:
-        """One sample a pixel where more show nothing."""
+    def _samples(self, kept: tuple[View, ...], one: Score) -> None:
+        """One sample a pixel, which scores `one`, where more show nothing."""
         samples = self.config.model.supersample
         if samples == 1:
             return
-        one = self.judge.score(self._predicted(self.scene, kept, supersample=1))
         best = self.judge.score(self._predicted(self.scene, kept, supersample=samples))
         enough = one.within(best, LIMIT)
         self._chose(
