@@ -158,3 +158,22 @@ def test_colour_of_points_alone_has_no_holes(bumpy: Mesh, camera: Camera) -> Non
     assert bool((index[: camera.height, : camera.width][inside] < 0).any())
     image = renderer(fragments, camera)[:, inside]
     torch.testing.assert_close(image, torch.full_like(image, 0.9))
+
+
+def test_hidden_points_are_missing_on_every_level(bumpy: Mesh, camera: Camera) -> None:
+    """A point is there on all levels or on none, faces stay, and the rest is as it was."""
+    config = replace(NETWORK, points=True, mask_channel=False)
+    (whole,) = Renderer(config, [bumpy]).rasterize(camera)
+    holed = whole.without_points(0.4, torch.Generator().manual_seed(0))
+    there, gone = set[int](), set[int]()
+    for before, after in zip(whole.levels, holed.levels, strict=True):
+        assert before.index is not None and after.index is not None
+        assert before.weight is not None and after.weight is not None
+        assert after.face is before.face
+        shown = after.index >= 0
+        assert torch.equal(after.index[shown], before.index[shown])
+        assert torch.equal(after.weight, before.weight * shown)
+        there |= set(after.index[shown].tolist())
+        gone |= set(before.index[~shown & (before.index >= 0)].tolist())
+    assert not there & gone
+    assert 0.3 < len(gone) / len(there | gone) < 0.5

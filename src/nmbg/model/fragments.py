@@ -63,6 +63,26 @@ class LayerFragments:
         shown = (t for level in self.levels for t in (level.index, level.face) if t is not None)
         return all(bool((t < 0).all()) for t in shown)
 
+    def without_points(self, share: float, generator: torch.Generator) -> LayerFragments:
+        """The same view with points missing at random, on all levels; nothing shows through where one was.
+
+        Args:
+            share: probability of a point to be missing.
+            generator: source of the random numbers.
+        """
+        assert self.vertices is not None, "made for fragments that are kept"
+        # Its spare last entry is what −1, no point, stays.
+        kept = torch.rand(len(self.vertices) + 1, generator=generator) >= share
+
+        def thinned(level: LevelFragments) -> LevelFragments:
+            if level.index is None or level.weight is None:
+                return level
+            shown = kept[level.index.long()]
+            index = level.index.where(shown, torch.tensor(-1, dtype=level.index.dtype))
+            return replace(level, index=index, weight=level.weight * shown)
+
+        return replace(self, levels=[thinned(level) for level in self.levels])
+
 
 def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig, once: bool = False) -> LayerFragments:
     """Rasterize one layer for the pyramid of a camera.

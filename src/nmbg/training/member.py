@@ -101,9 +101,17 @@ class Member:
         return 3 * coefficients + geometry + self.training.nbytes + self.validation.nbytes
 
     def example(self, view: int | None, step: int) -> Example:
-        """What a step looks at: a training view, or an artificial one for None."""
+        """What a step looks at: a training view, or an artificial one for None; with points missing."""
+        generator = torch.Generator().manual_seed(self.config.seed * 1_000_003 + step)
+        example = self._example(view, generator)
+        if not self.config.hide_points:
+            return example
+        assert isinstance(example.sight, list)
+        share = self.config.hide_points * float(torch.rand((), generator=generator))
+        return replace(example, sight=[layer.without_points(share, generator) for layer in example.sight])
+
+    def _example(self, view: int | None, generator: torch.Generator) -> Example:
         config = self.config
-        generator = torch.Generator().manual_seed(config.seed * 1_000_003 + step)
         if view is None:
             assert self.artificial is not None
             camera = self.artificial.draw(generator)
