@@ -167,8 +167,10 @@ def test_hidden_points_are_missing_on_every_level(bumpy: Mesh, camera: Camera) -
     holed = whole.without_points(0.4, torch.Generator().manual_seed(0))
     there, gone = set[int](), set[int]()
     for before, after in zip(whole.levels, holed.levels, strict=True):
-        assert before.index is not None and after.index is not None
-        assert before.weight is not None and after.weight is not None
+        assert before.index is not None
+        assert after.index is not None
+        assert before.weight is not None
+        assert after.weight is not None
         assert after.face is before.face
         shown = after.index >= 0
         assert torch.equal(after.index[shown], before.index[shown])
