@@ -3,7 +3,8 @@
 Example:
     python benchmarks/convergence.py out/fox out/bonsai --weights DIR --output out/convergence
 
-Each point is a run of its own with that budget, so that its rates have decayed; `photos` needs no training.
+Each point is a run of its own with that budget, so that its rates have decayed; `photos` needs no training,
+and `mesh` ends after ten passes.
 Finished runs are kept. `--quick` stops at one minute.
 """
 

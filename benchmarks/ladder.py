@@ -4,12 +4,13 @@ Example:
     python benchmarks/ladder.py out/fox out/bonsai --minutes 3 --seeds 3,1 --weights DIR --output out/ladder
 
 Of each scene so many seeds. Finished runs are kept: run it again and it goes on where it stopped. `--quick`
-takes 20 seconds a rung and one seed; the full form 40 minutes a scene and seed.
+takes 20 seconds a rung and one seed; the full form 35 minutes a scene and seed.
 """
 
 from __future__ import annotations
 
 import os
+import statistics
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,14 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
 from options import output_option, scenes_argument, weights_option
-from record import command, provenance, write
-from sweep import Job, Sweep, spread, trained_for
+from record import cell, command, provenance, write
+from sweep import TRAINING_VIEWS, Job, Sweep, spread, trained_for
+
+from nmbg.evaluation.published import DTU_PARTS
+from nmbg.scene import Scene
+
+# Of DTU's views between the training cameras and beyond them.
+SHOWN = ("psnr", "ssim", "lpips_squeeze")
 
 # Rung → preset, and what is changed in it. `before` ones are without what brings training and held-out views
 # together (docs/quality.md): BatchNorm's statistics run, no points are hidden.
@@ -55,6 +62,8 @@ def main(
     counts += counts[-1:] * (len(scenes) - len(counts))
     sweep = Sweep(output, weights)
     results: dict[str, Any] = {"command": command(), "minutes": minutes, **provenance(), "scenes": {}}
+    cameras = {scene.name: Scene.load(scene).views[0].camera for scene in scenes}
+    results["sizes"] = {name: (camera.width, camera.height) for name, camera in cameras.items()}
     runs = [
         (scene, rung, seed)
         for scene, count in zip(scenes, counts, strict=True)
@@ -67,20 +76,34 @@ def main(
         for preset, changes in (RUNGS[rung],)
     ]
     for (scene, rung, _), record in zip(runs, sweep.measure(jobs), strict=True):
-        results["scenes"].setdefault(scene.name, {}).setdefault(rung, []).append(record)
+        row = results["scenes"].setdefault(scene.name, {}).setdefault(rung, [])
+        row.append({**record, "parts": _parts(scene, record["views"])})
     write(output, "ladder", results, _table(results))
     click.echo(_table(results))
 
 
+def _parts(scene: Path, views: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    """Mean figures between the training cameras and beyond them, where DTU's views were held out."""
+    names = [view.name for view in Scene.load(scene).views]
+    if {names.index(name) for name in views} != {i for part in DTU_PARTS.values() for i in part}:
+        return {}
+    return {
+        part: {metric: statistics.fmean(views[names[i]][metric] for i in indices) for metric in SHOWN}
+        for part, indices in DTU_PARTS.items()
+    }
+
+
 def _table(results: dict[str, Any]) -> str:
     lines = [
-        f"Held-out views after {results['minutes']:.3g} minutes a rung; mean ± half the range of the seeds. "
+        f"Held-out views after {results['minutes']:.3g} minutes a rung, in float32; mean ± half the range of the "
+        f"seeds. L_rec up to relu3_1, that of `paper` too; LPIPS of SqueezeNet; {TRAINING_VIEWS} of the training "
+        "views. `before`: without what docs/quality.md describes. "
         f"{results['machine']['cpu']}, {results['machine']['threads']} threads."
     ]
     for scene, rows in results["scenes"].items():
         lines += [
             "",
-            f"**{scene}**",
+            f"**{scene}**, {results['sizes'][scene][0]} × {results['sizes'][scene][1]}",
             "",
             "| rung | seeds | PSNR | SSIM | SSIM (SVS) | LPIPS | PSNR, training | steps | ms / frame |",
             "|---|---|---|---|---|---|---|---|---|",
@@ -91,6 +114,11 @@ def _table(results: dict[str, Any]) -> str:
             cells = [spread(records, name, digits) for name, digits in figures]
             frame = 1000 * min(record["figures"]["seconds_per_frame"] for record in records)
             lines.append(f"| {rung} | {len(records)} | {' | '.join(cells)} | {frame:.0f} |")
+        parts = next(iter(rows.values()))[0]["parts"]
+        if parts:
+            lines += ["", f"| rung, first seed | {' | '.join(parts)} |", "|---|---|---|"]
+            for rung, (first, *_) in rows.items():
+                lines.append(f"| {rung} | {' | '.join(cell(part) for part in first['parts'].values())} |")
     return "\n".join(lines) + "\n"
 
 

@@ -3,7 +3,8 @@
 Example:
     python benchmarks/stability.py out/fox --weights DIR --output out/stability
 
-Budgets are steps, about one minute each on two idle cores, so that a curve does not depend on what else runs.
+Budgets are steps, so that a curve does not depend on what else runs: about a minute each on two idle cores, but
+for mesh, which has its ten passes in seconds.
 The full form is 287 runs a scene, some 8 hours; `--quick` takes the middle severity of each stress, a quarter
 of the steps, and the presets mesh and photos. Finished runs are kept; `--finished` tabulates what is there.
 """
@@ -29,7 +30,7 @@ from nmbg.scene import Scene
 from nmbg.training.checkpoint import load_run
 
 SHOWN = ("mesh", "photos", "npbg", "paper", "nmbg")
-# Steps of about one minute, reading the scene and fitting it included.
+# Steps of about one minute, reading the scene and fitting it included; of mesh ten passes over the fox.
 ITERATIONS = {"mesh": 430, "npbg": 220, "paper": 135, "nmbg": 800}
 SEEDS = 3
 GROUPS = ("views", "geometry", "cameras", "photographs", "model", "rendering", "seeds")

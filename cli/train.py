@@ -58,7 +58,7 @@ class PhotoCount(click.ParamType[int | str]):
 @click.option(
     "--minutes",
     type=click.FloatRange(min=0, min_open=True),
-    help="Budget in minutes of wall-clock time.  [default: 15; preset paper 100 epochs, several scenes 15]",
+    help="Budget in minutes of wall-clock time.  [default: 15 minutes; preset paper 100 epochs, several scenes 15 epochs]",
 )
 @click.option("--iterations", type=click.IntRange(min=0), help="Budget in steps.")
 @click.option("--epochs", type=click.IntRange(min=0), help="Budget in passes over the training views.")

@@ -19,7 +19,7 @@ GRID = 2**14
 
 
 def export_compact(run: Path, output: Path, overwrite: bool = False) -> Path:
-    """Write a run folder that eval and render load as any other, and that is not trained further.
+    """Write a run folder that eval loads as any other, and that is not trained further.
 
     Args:
         run: run folder of one scene.

@@ -18,7 +18,7 @@ from nmbg.evaluation.metrics import make_metrics
 from nmbg.evaluation.report import write_report
 from nmbg.evaluation.results import Report, write_results
 from nmbg.images import Image
-from nmbg.scene import Scene, Split, View
+from nmbg.scene import Scene, Split, View, evenly
 from nmbg.training.checkpoint import Run, load_run, load_views
 from nmbg.training.left_out import LeftOut, can_leave_out, refit_left_out
 
@@ -55,8 +55,7 @@ def evaluate(
     scene = load_views(run_folder, whole)
     measures = make_metrics(metrics, lpips_net, weights, torch.device(device))
     views = views_to_judge(scene, measures, split)
-    count = min(len(views), at_most or len(views))
-    views = tuple(views[(i * len(views)) // count] for i in range(count))
+    views = tuple(evenly(views, at_most or len(views)))
     show = _shows(run, scene, split)
     show(views[0])  # the first frame also pays for allocations
     seconds: dict[str, float] = {}

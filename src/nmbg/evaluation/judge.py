@@ -138,5 +138,7 @@ def _label(view: View, measured: dict[str, float]) -> str:
 
 def _geometry(scene: Scene) -> str:
     """Where the geometry came from: a metric means less when it was made with the held-out photographs."""
-    told = scene.summary.get("geometry", "whether it was made with the held-out views is not recorded")
-    return f"{scene.source or scene.folder.name}: {told}"
+    file = scene.summary.get("mesh", {}).get("file")
+    mesh = Path(file).name if file else "mesh"
+    told = "whether it was made with the held-out views is not recorded"
+    return f"{scene.source or scene.folder.name}: {mesh}; {told}"

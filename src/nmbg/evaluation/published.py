@@ -43,7 +43,8 @@ NMBG_(single)    26.78/20.85 .957/.925 9.64/12.91   29.98/25.40 .931/.909 12.75/
 NMBG_(full)      28.98/22.90 .970/.943 7.15/11.13   30.67/25.75 .939/.917 12.10/13.10  32.39/27.97 .956/.941 10.62/10.07
 """  # noqa: E501
 
-_DTU_PARTS = {"interpolation": (13, 14, 15, 23, 24, 25), "extrapolation": (0, 4, 38, 48)}
+# Views between the training cameras and beyond them, as indices into the views sorted by name.
+DTU_PARTS = {"interpolation": (13, 14, 15, 23, 24, 25), "extrapolation": (0, 4, 38, 48)}
 
 
 @dataclass(frozen=True)
@@ -81,9 +82,9 @@ def _dtu(column: int, scan: int) -> Table:
         method, *cells = line.split()
         metrics = [list(map(float, cell.split("/"))) for cell in cells[3 * column : 3 * column + 3]]
         rows[method.replace("_", " ")] = {
-            part: (metrics[0][i], metrics[1][i], metrics[2][i]) for i, part in enumerate(_DTU_PARTS)
+            part: (metrics[0][i], metrics[1][i], metrics[2][i]) for i, part in enumerate(DTU_PARTS)
         }
-    return Table(f"DTU, scan {scan}", (1600, 1200), _DTU_PARTS, True, rows)
+    return Table(f"DTU, scan {scan}", (1600, 1200), DTU_PARTS, True, rows)
 
 
 TABLES = {

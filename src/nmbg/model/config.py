@@ -1,4 +1,4 @@
-"""What a model is made of: one dataclass; every variant is a preset of it (nmbg.presets)."""
+"""What a model is made of: one dataclass; every variant is a preset of it (nmbg.training.config)."""
 
 from __future__ import annotations
 
@@ -84,5 +84,5 @@ class ModelConfig:
         return self.features * (int(self.faces) + int(self.points)) + int(self.mask_channel)
 
     def radius_px(self, width: int, height: int) -> float:
-        """Point radius in pixels, the same at every level (method: section 2)."""
+        """Point radius in pixels, the same at every level (paper, section 3.1)."""
         return 0.5 if self.point_radius is None else self.point_radius * min(width, height) / 2

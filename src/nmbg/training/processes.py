@@ -112,7 +112,7 @@ def others_may_end() -> Iterator[None]:
             raise
         raise NmbgError(
             f"process {rank()} of {size()}: another one has ended ({str(error).splitlines()[0]}); the last "
-            "checkpoint is whole: go on with --resume, with any number of processes"
+            "checkpoint is whole: go on with --resume, with as many processes as scenes or fewer"
         ) from error
 
 

@@ -12,7 +12,7 @@ from nmbg.cameras import Camera
 from nmbg.model.exposure import Exposure, Exposures
 from nmbg.model.photographs import Gathered
 from nmbg.model.renderer import Prepared
-from nmbg.scene import Scene, View
+from nmbg.scene import Scene, View, evenly
 
 GIB = 2**30
 
@@ -93,8 +93,7 @@ class Views:
 
     def spread(self, count: int) -> Iterator[Example]:
         """Whole frames of at most so many views, evenly spread."""
-        count = min(count, len(self))
-        return (self.frame((i * len(self)) // count) for i in range(count))
+        return (self.frame(i) for i in evenly(range(len(self)), count))
 
     def crop(self, i: int, share: float, multiple: int, generator: torch.Generator) -> Example:
         """A random window of the whole frame of view i, at whole pixels; for what photographs show alone.
