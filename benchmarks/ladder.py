@@ -95,9 +95,9 @@ def _parts(scene: Path, views: dict[str, dict[str, float]]) -> dict[str, dict[st
 
 def _table(results: dict[str, Any]) -> str:
     lines = [
-        f"Held-out views after {results['minutes']:.3g} minutes a rung, in float32; mean ± half the range of the "
-        f"seeds. L_rec up to relu3_1, that of `paper` too; LPIPS of SqueezeNet; {TRAINING_VIEWS} of the training "
-        "views. `before`: without what docs/quality.md describes. "
+        f"Held-out views after {results['minutes']:.3g} minutes a rung, in float32; mean ± half the range of "
+        "the seeds. L_rec up to relu3_1, that of `paper` too; LPIPS of SqueezeNet; training PSNR over "
+        f"{TRAINING_VIEWS} views. `before`: without what docs/quality.md describes. "
         f"{results['machine']['cpu']}, {results['machine']['threads']} threads."
     ]
     for scene, rows in results["scenes"].items():

@@ -4,10 +4,10 @@ Example:
     python benchmarks/speed_accuracy.py out/fox --weights DIR --output out/speed
 
 Every preset is trained for 1, 4 and 15 minutes, every variant of size for 4; what needs no training is
-measured once, and mesh and photos-mesh end after ten passes. PSNR, SSIM and LPIPS of the held-out views are charted against minutes of training,
-milliseconds a frame and megabytes of the trained scene. Finished points are kept: run it again and it goes on
-where it stopped. Another program's pictures enter by `--foreign`, a folder that `nmbg eval --renders` wrote
-with the metrics psnr, ssim and lpips (squeeze).
+measured once, and mesh and photos-mesh end after ten passes. PSNR, SSIM and LPIPS of the held-out views are
+charted against minutes of training, milliseconds a frame and megabytes of the trained scene. Finished points
+are kept: run it again and it goes on where it stopped. Another program's pictures enter by `--foreign`, a
+folder that `nmbg eval --renders` wrote with the metrics psnr, ssim and lpips (squeeze).
 
 The full form trains for 3 hours 20 minutes a scene; preparing and judging the runs comes on top. `--quick`
 trains each point for 15 seconds.

@@ -94,7 +94,8 @@ def command(
         assert run is not None
         report = evaluate(run, *settings)
     else:
-        output = foreign.pop("output") or renders.with_name(f"{renders.name}-eval")
+        place = renders.resolve()
+        output = foreign.pop("output") or place.with_name(f"{place.name}-eval")
         report = evaluate_renders(
             renders, foreign.pop("scene"), foreign.pop("label"), output, *settings, **foreign
         )

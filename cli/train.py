@@ -20,7 +20,7 @@ from nmbg.cli.options import (
     weights_option,
 )
 from nmbg.errors import NmbgError
-from nmbg.training.config import PRESETS, TrainConfig
+from nmbg.training.config import PRESETS, TrainConfig, without_perceptual
 
 # Of a preset that says nothing itself.
 MINUTES = 15.0
@@ -44,6 +44,9 @@ class PhotoCount(click.ParamType[int | str]):
         return int(value)
 
 
+ZOOM = click.FloatRange(min=0, min_open=True)
+
+
 @click.command(
     epilog="\b\nExamples:\n  nmbg train out/room --output out/room-run --minutes 15\n"
     "  nmbg train out/room out/garden --preset paper --output out/both --weights DIR\n"
@@ -58,7 +61,8 @@ class PhotoCount(click.ParamType[int | str]):
 @click.option(
     "--minutes",
     type=click.FloatRange(min=0, min_open=True),
-    help="Budget in minutes of wall-clock time.  [default: 15 minutes; preset paper 100 epochs, several scenes 15 epochs]",
+    help="Budget in minutes of wall-clock time.  [default: 15; but preset paper 100 epochs, and several "
+    "scenes 15 epochs]",
 )
 @click.option("--iterations", type=click.IntRange(min=0), help="Budget in steps.")
 @click.option("--epochs", type=click.IntRange(min=0), help="Budget in passes over the training views.")
@@ -75,7 +79,12 @@ class PhotoCount(click.ParamType[int | str]):
 @click.option(
     "--init", type=FOLDER, metavar="RUN", help="Begin with the network of another run, of one scene or many."
 )
-@click.option("--zoom", type=click.FloatRange(min=1), help="Largest random zoom of training windows.")
+@click.option(
+    "--zoom",
+    type=(ZOOM, ZOOM),
+    metavar="LEAST LARGEST",
+    help="Random zoom of training windows, beside the photographs' own pixels.",
+)
 @click.option(
     "--window", type=click.FloatRange(min=0, max=1, min_open=True), help="Training windows' share of a side."
 )
@@ -118,7 +127,7 @@ class PhotoCount(click.ParamType[int | str]):
     type=click.FloatRange(min=0, min_open=True),
     help="With --capacity auto: the most that photographs may take.",
 )
-@click.option("--seed", type=int, default=0, show_default=True)
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=0, show_default=True)
 @device_option
 @click.option(
     "--bf16/--no-bf16", default=None, help="bfloat16 network and loss  [default: where it is faster here]"
@@ -150,15 +159,17 @@ def command(
     """
     from nmbg.training import processes
 
+    if resuming:
+        _refuse_options(context)
+        device = _device_of(output, device, context)
+    elif not scenes:
+        raise NmbgError("no scene given; name a folder that nmbg preprocess wrote")
     with processes.joined(device):
         if resuming:
-            _refuse_options(context)
-            written = _resume(output, weights)
-        elif scenes:
-            config = _config(preset, device, options, len(scenes))
-            written = _train(scenes, config, output, weights, overwrite, init)
+            written = _resume(output, device, weights)
         else:
-            raise NmbgError("no scene given; name a folder that nmbg preprocess wrote")
+            config = _config(preset, device, options, len(scenes), init is not None)
+            written = _train(scenes, config, output, weights, overwrite, init)
         if processes.rank() == 0:
             click.echo(written)
 
@@ -169,26 +180,54 @@ def _train(scenes: tuple[Path, ...], config: TrainConfig, output: Path, *options
     from nmbg.training.full import train_together
     from nmbg.training.trainer import train
 
+    _keep_apart(output, scenes, options[-1])
     with _memory_named(config):
         if len(scenes) == processes.size() == 1:
             return train(Scene.load(scenes[0]), config, output, *options)
         return train_together(scenes, config, output, *options)
 
 
-def _resume(output: Path, weights: Path | None) -> Path:
+def _keep_apart(output: Path, scenes: tuple[Path, ...], init: Path | None) -> None:
+    """Refuse a run that would take the place of what it is made from."""
+    place = output.resolve()
+    for source in (*scenes, *([init] if init else [])):
+        other = source.resolve()
+        if place == other or place in other.parents or other in place.parents:
+            raise NmbgError(
+                f"--output {output}: is, holds or lies in {source}; give the run a place of its own"
+            )
+
+
+def _device_of(output: Path, wished: str, context: click.Context) -> str:
+    """Where a run goes on: on the device that it began on, unless told otherwise."""
+    import torch
+
+    from nmbg.training import checkpoint
+
+    if context.get_parameter_source("device") is ParameterSource.COMMANDLINE:
+        return wished
+    device = checkpoint.load_config(output)[1].device
+    if device == "cuda" and not torch.cuda.is_available():
+        raise NmbgError(
+            f"{output}: was trained on CUDA, and torch sees no such device here; add --device cpu"
+        )
+    return device
+
+
+def _resume(output: Path, device: str, weights: Path | None) -> Path:
     from nmbg.training import checkpoint, processes
     from nmbg.training.full import resume_together
     from nmbg.training.trainer import resume
 
     scenes, config = checkpoint.load_config(output)
-    with _memory_named(config):
+    with _memory_named(config, resumed=True):
         if len(scenes) == processes.size() == 1:
-            return resume(output, weights)
-        return resume_together(output, weights)
+            return resume(output, weights, device)
+        return resume_together(output, weights, device)
 
 
 @contextmanager
-def _memory_named(config: TrainConfig) -> Iterator[None]:
+def _memory_named(config: TrainConfig, resumed: bool = False) -> Iterator[None]:
     """Say in one line that memory ran out, and which options need less.
 
     Raises:
@@ -207,12 +246,15 @@ def _memory_named(config: TrainConfig) -> Iterator[None]:
         if config.model.widths:
             advice.append(f"--window {config.window / 2:.3g} makes a step a quarter as large")
         advice.append("nmbg preprocess --max-size with half the pixels a side makes everything a quarter")
+        if resumed:
+            advice = ["a resumed run keeps its options; close other programs, or train anew", *advice]
         raise NmbgError(f"out of memory ({told or 'no more was given'}); {', '.join(advice)}") from error
 
 
-def _config(preset: str, device: str, options: dict[str, Any], scenes: int) -> TrainConfig:
+def _config(preset: str, device: str, options: dict[str, Any], scenes: int, init: bool) -> TrainConfig:
     """The preset with what was asked for."""
     from nmbg.training.full import EPOCHS
+    from nmbg.training.left_out import can_leave_out
     from nmbg.training.precision import bf16_is_faster
 
     given = {name: value for name, value in options.items() if value is not None}
@@ -226,11 +268,19 @@ def _config(preset: str, device: str, options: dict[str, Any], scenes: int) -> T
         given["bf16"] = bf16_is_faster(device)
     if given.get("perceptual", "none") != "none" and not any(s.perceptual for s in PRESETS[preset].stages):
         raise NmbgError(f"--perceptual: preset {preset} trains without L_rec; leave it out")
+    if given.get("perceptual") == "none":
+        given["stages"] = tuple(without_perceptual(stage) for stage in PRESETS[preset].stages)
     if "photos" in given and not PRESETS[preset].model.sources:
         raise NmbgError(f"--photos: preset {preset} blends no photographs; leave it out")
+    if given["capacity"] == "auto" and not can_leave_out(PRESETS[preset]):
+        raise NmbgError(f"--capacity auto: does not size preset {preset}; use nmbg or photos")
+    if given["capacity"] == "auto" and init:
+        raise NmbgError("--capacity auto: --init gives the network its size; leave one of the two out")
     if given["capacity"] == "auto" and scenes > 1:
         raise NmbgError("--capacity auto sizes the model of one scene; train the scenes one by one")
-    stages = PRESETS[preset].stages
+    if given.get("fps") and not PRESETS[preset].model.widths:
+        raise NmbgError(f"--fps: preset {preset} has no network that could be smaller; leave it out")
+    stages = given.pop("stages", PRESETS[preset].stages)
     if "adversarial" in given:
         if not any(stage.network for stage in stages):
             raise NmbgError(f"--adversarial: preset {preset} trains no network; leave it out")
@@ -246,7 +296,9 @@ def _config(preset: str, device: str, options: dict[str, Any], scenes: int) -> T
 
 def _refuse_options(context: click.Context) -> None:
     """A resumed run keeps its own options; naming others would change its meaning silently."""
-    free = {"output", "resuming", "weights", "threads", "scenes"}
+    if context.params["scenes"]:
+        raise NmbgError("--resume: a run knows its scenes; name only its --output")
+    free = {"output", "resuming", "weights", "threads", "device"}
     for parameter in context.command.params:
         source = context.get_parameter_source(parameter.name or "")
         if parameter.name not in free and source is ParameterSource.COMMANDLINE:

@@ -76,7 +76,7 @@ def test_losses() -> None:
 def test_schedule() -> None:
     (stage,) = PAPER.stages
     assert (stage.descriptor_rate, stage.network_rate, RATE) == (0.1, 1e-4, 1e-4)
-    assert (PAPER.zoom, PAPER.window) == (2.0, 0.5)
+    assert (PAPER.zoom, PAPER.window) == ((0.5, 1.0), 0.5)
     assert PAPER.epochs == 100
     assert EPOCHS == 15
 

@@ -259,7 +259,7 @@ def no_model(workspace: Path) -> PreprocessOptions:
         (name_no_mesh, r"nothing\.ply: no such mesh"),
         (empty_mesh, r"meshed-delaunay\.ply: .*--mesh"),
         (nan_mesh, "NaN"),
-        (mesh_elsewhere, "covers no view"),
+        (mesh_elsewhere, "covers no training view"),
         (small_masks, "32×24 pixels"),
         (no_masks, "no such folder of masks"),
         (unknown_split, r"no registered image '017\.png'"),

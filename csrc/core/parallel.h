@@ -24,13 +24,6 @@ void parallel_for(int64_t n, [[maybe_unused]] int threads, const Body& body) {
     if (error) std::rethrow_exception(error);
 }
 
-// Calls body(chunk, begin, end) for one contiguous chunk of [0, n) per thread, in ascending order of chunk.
-template <class Body>
-void parallel_chunks(int64_t n, int threads, const Body& body) {
-    parallel_for(threads, threads,
-                 [&](int64_t chunk) { body(chunk, n * chunk / threads, n * (chunk + 1) / threads); });
-}
-
 // Calls body(begin, end) for blocks of [0, n) that are long enough to be worth a thread's visit.
 template <class Body>
 void parallel_blocks(int64_t n, int threads, const Body& body) {

@@ -135,14 +135,20 @@ def split_layers(mesh: Mesh, centre: npt.NDArray[np.float64], radius: float) -> 
     Returns:
         (foreground, background): together every face exactly once, in the mesh's order.
     """
-    inside = np.linalg.norm(mesh.vertices - centre, axis=1) < radius
-    foreground = inside[mesh.faces].all(axis=1)
+    near = inside(mesh, centre, radius)
+    foreground = np.logical_and.reduce(near[mesh.faces], axis=1)
     lonely = np.ones(len(mesh.vertices), dtype=bool)
     lonely[mesh.faces] = False
     return (
-        _part(mesh, foreground, lonely & inside),
-        _part(mesh, ~foreground, lonely & ~inside),
+        _part(mesh, foreground, lonely & near),
+        _part(mesh, ~foreground, lonely & ~near),
     )
+
+
+def inside(mesh: Mesh, centre: npt.NDArray[np.float64], radius: float) -> npt.NDArray[np.bool_]:
+    """Which vertices lie inside a sphere, [N] bool; centre [3] and radius in scene units."""
+    near: npt.NDArray[np.bool_] = np.linalg.norm(mesh.vertices - centre, axis=1) < radius
+    return near
 
 
 def drop_unused(mesh: Mesh, keep_faces: npt.NDArray[np.bool_]) -> Mesh:

@@ -165,9 +165,10 @@ def _assemble(
 
     sights, masks = _look(bare)
     seen = _coverage(bare, sights, masks, (len(mesh.faces), 0, 0))
-    if max(view.mesh for view in seen) < LEAST_COVERAGE:
+    if max(view.mesh for view in seen if view.split == "train") < LEAST_COVERAGE:
         raise NmbgError(
-            f"{options.mesh or source}: the mesh covers no view; give one in the cameras' coordinate frame"
+            f"{options.mesh or source}: the mesh covers no training view; give one in the cameras' "
+            "coordinate frame"
         )
     open_before = 1 - _share(seen, "mesh")
     background, chosen, why = _background(options.background, bare, sights, masks, seen)

@@ -15,6 +15,15 @@ from rich.progress import (
 console = Console(stderr=True)
 
 
+_hidden = False
+
+
+def hide_bars() -> None:
+    """Show no bars from now on: of several processes one shows its own, and all say what they find."""
+    global _hidden
+    _hidden = True
+
+
 def progress_bar() -> Progress:
     """A bar with count, elapsed and remaining time; `.track(sequence, description=...)` iterates under it."""
     return Progress(
@@ -24,4 +33,5 @@ def progress_bar() -> Progress:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         console=console,
+        disable=_hidden,
     )

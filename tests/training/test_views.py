@@ -18,7 +18,7 @@ def views(scene_folder: Path) -> Views:
 
 
 def test_whole_window_is_the_frame(views: Views) -> None:
-    frame, window = views.frame(0), views.window(0, 1.0, 1.0, torch.Generator().manual_seed(0))
+    frame, window = views.frame(0), views.window(0, 1.0, (1.0, 1.0), torch.Generator().manual_seed(0))
     assert torch.equal(frame.image, window.image)
     np.testing.assert_allclose(frame.camera.K, window.camera.K)
 
@@ -47,7 +47,7 @@ def test_window_moves_camera_and_photograph_alike(
     x, y = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
     coordinates = np.stack([x, y, 0 * x], -1)
     monkeypatch.setattr(Scene, "load_image", lambda *_: coordinates.astype(np.uint8))
-    window = views.window(0, 0.5, 2.0, torch.Generator().manual_seed(seed))
+    window = views.window(0, 0.5, (0.5, 2.0), torch.Generator().manual_seed(seed))
     assert (window.camera.width, window.camera.height) == (round(camera.width / 2), round(camera.height / 2))
     # The same ray through both cameras: K_frame K_window⁻¹ maps window pixels to frame pixels.
     to_frame = camera.K @ np.linalg.inv(window.camera.K)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
 from safetensors.torch import load_file, save_file
 
 from nmbg.atomic import atomic_folder
-from nmbg.capacity.packing import halved, pack
+from nmbg.capacity.packing import halved, pack, unpack
 from nmbg.errors import NmbgError
-from nmbg.packed_mesh import save_packed
+from nmbg.mesh import Mesh, inside
+from nmbg.packed_mesh import load_packed, save_packed
 from nmbg.scene import GEOMETRY, PACKED_GEOMETRY, Scene
 from nmbg.training import checkpoint
 
@@ -41,12 +43,28 @@ def export_compact(run: Path, output: Path, overwrite: bool = False) -> Path:
         shutil.copytree(run / checkpoint.SCENE, folder)
         scene = Scene.load(folder)
         (folder / GEOMETRY).unlink(missing_ok=True)
-        save_packed(scene.mesh, folder / PACKED_GEOMETRY, scene.radius / GRID)
+        _save_geometry(scene, folder / PACKED_GEOMETRY, config.model.layers)
         weights = temporary / "checkpoints" / found.name
         weights.mkdir(parents=True)
         shutil.copyfile(found / "progress.json", weights / "progress.json")
-        descriptors = load_file(found / "descriptors.safetensors")
+        descriptors = unpack(load_file(found / "descriptors.safetensors"))
         save_file(pack(descriptors, config.model.bases), weights / "descriptors.safetensors")
         if config.model.widths:
             save_file(halved(load_file(found / "network.safetensors")), weights / "network.safetensors")
+        checkpoint.load_run(temporary)
     return output
+
+
+def _save_geometry(scene: Scene, path: Path, layers: int) -> None:
+    """Write the geometry on its grid, each vertex on its side of the sphere between two layers."""
+    mesh, step = scene.mesh, scene.radius / GRID
+    save_packed(mesh, path, step)
+    if layers == 1:
+        return
+    side = inside(mesh, scene.centre, scene.radius)
+    outwards = mesh.vertices - scene.centre
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True).clip(step)
+    vertices = mesh.vertices.copy()
+    while (crossed := inside(load_packed(path), scene.centre, scene.radius) != side).any():
+        vertices[crossed] += step * np.where(side, -1, 1)[crossed, None] * outwards[crossed]
+        save_packed(Mesh(vertices, mesh.faces, mesh.colours), path, step)

@@ -76,6 +76,12 @@ def race(
         widths, the network as the race left it, and what was chosen.
     """
     judging = evenly(scene.train, min(JUDGES, len(scene.train) // 2))
+    if not judging:
+        return (
+            config.model.widths,
+            None,
+            [Choice("network: full", "nothing", "nothing", "one view tells nothing")],
+        )
     running = evenly([view for view in scene.train if view not in judging], RUNNERS)
     full = config.model.widths
     multiple = 2 ** (len(full) - 1)

@@ -104,6 +104,12 @@ def find_renders(folder: Path, views: Sequence[View], index: Path | None = None)
     if missing:
         found = _numbered(files, len(views))
     pictures = {view.name: file for view, file in zip(views, found, strict=False) if file is not None}
+    shared = [name for name, file in pictures.items() if list(pictures.values()).count(file) > 1]
+    if shared:
+        raise NmbgError(
+            f"{pictures[shared[0]]} would be the picture of both {shared[0]} and {shared[1]}; put the "
+            "pictures into folders named as the photographs', or give --index"
+        )
     if len(pictures) < len(views):
         more = f" and {len(missing) - 1} more views" if len(missing) > 1 else ""
         raise NmbgError(

@@ -129,6 +129,11 @@ class Photographs:
         self._held = 0
         self._cache: OrderedDict[int, Source] = OrderedDict()
 
+    @property
+    def nbytes(self) -> int:
+        """Memory held by prepared photographs, bytes."""
+        return self._held
+
     @cached_property
     def cover(self) -> SourceCover:
         """What decides which photographs a view is blended from."""

@@ -59,9 +59,9 @@ class Renderer(nn.Module):
         """Highest degree of each vertex whose coefficients are not all zero, [N] int64 per layer."""
         return [descriptors.degrees() for descriptors in self._descriptors]
 
-    def remember(self, scene: Scene, views: Sequence[View]) -> None:
-        """Blend these photographs of the scene over the mesh from now on."""
-        self.photographs = Photographs(scene, views, self.on_mesh, self.config.sources)
+    def remember(self, scene: Scene, views: Sequence[View], cache_gib: float = 4.0) -> None:
+        """Blend these photographs of the scene over the mesh from now on; so many GiB are kept ready."""
+        self.photographs = Photographs(scene, views, self.on_mesh, self.config.sources, cache_gib)
 
     def see(self, camera: Camera, without: Set[str] = NOTHING) -> Prepared:
         """What forward() needs of a view.

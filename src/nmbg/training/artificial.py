@@ -14,6 +14,7 @@ import numpy.typing as npt
 import torch
 
 from nmbg.cameras import Camera, foreground_sphere
+from nmbg.errors import NmbgError
 from nmbg.scene import Scene, evenly
 from nmbg.sight import Sight, look
 
@@ -44,9 +45,16 @@ class ArtificialCameras:
 
     Args:
         scene: its training views and geometry are looked at.
+
+    Raises:
+        NmbgError: all training cameras stand at one place.
     """
 
     def __init__(self, scene: Scene) -> None:
+        if scene.radius == 0:
+            raise NmbgError(
+                f"{scene.folder}: all training cameras stand at one place; give --artificial-views 0"
+            )
         self.scene = scene
         self.cameras = [view.camera for view in scene.train]
         self._centres = np.stack([camera.centre for camera in self.cameras])

@@ -34,6 +34,7 @@ CONFIG = "config.yaml"
 SCENE = "scene"
 SCENES = "scenes"
 VIEWS = "views.json"
+OPTIMISERS = "optimisers.pt"
 
 
 @dataclass(frozen=True)
@@ -91,11 +92,11 @@ def build_renderer(scene: Scene, config: TrainConfig, network: nn.Module | None 
     return Renderer(config.model, scene_layers(scene, config.model), network).to(config.device)
 
 
-def remember_photographs(run: Path, renderer: Renderer) -> None:
+def remember_photographs(run: Path, renderer: Renderer, cache_gib: float = TrainConfig.cache_gib) -> None:
     """Let a renderer blend the photographs that the run holds, when its model blends any."""
     if renderer.config.sources:
         scene = Scene.load(run / SCENE)
-        renderer.remember(scene, scene.views)
+        renderer.remember(scene, scene.views, cache_gib)
 
 
 def save_config(folder: Path, run: Path, scenes: Mapping[str, Path], config: TrainConfig) -> None:
@@ -210,6 +211,7 @@ def load_config(run: Path) -> tuple[dict[str, Path], TrainConfig]:
         folders = {name: Path(os.path.normpath(home / scene)) for name, scene in scenes.items()}
         content.pop("nmbg")
         content["model"]["widths"] = tuple(content["model"]["widths"])
+        content["zoom"] = tuple(content["zoom"])
         content["model"] = ModelConfig(**content["model"])
         content["stages"] = tuple(Stage(**stage) for stage in content["stages"])
         content["choices"] = tuple(Choice(**choice) for choice in content["choices"])
@@ -243,7 +245,7 @@ def save_checkpoint(
         for name, module in modules.items():
             if module is not None:
                 save_module(temporary, name, module)
-        torch.save(dict(optimisers or {}), temporary / "optimisers.pt")
+        torch.save(dict(optimisers or {}), temporary / OPTIMISERS)
         (temporary / "progress.json").write_text(json.dumps(asdict(progress)))
     return folder
 
@@ -311,7 +313,7 @@ def load_optimisers(checkpoint: Path) -> dict[str, Any]:
         NmbgError: the file is missing or damaged.
     """
     try:
-        state = torch.load(checkpoint / "optimisers.pt", weights_only=True, map_location="cpu")
+        state = torch.load(checkpoint / OPTIMISERS, weights_only=True, map_location="cpu")
         return dict(state)
     except Exception as error:  # torch.load raises anything on damaged files
         raise NmbgError(

@@ -10,6 +10,8 @@ from nmbg.capacity.choices import Choice
 from nmbg.model.config import ModelConfig
 
 Start = Literal["zeros", "mean", "fit"]
+# Windows of the photographs' own pixels.
+AS_TAKEN = (1.0, 1.0)
 Refine = Literal["none", "geometry", "poses", "geometry,poses"]
 
 
@@ -49,8 +51,9 @@ class TrainConfig:
         stages: what is trained when.
         start: descriptors start at zeros, at the mean vertex colours, or at harmonics fitted in closed form.
         perceptual: layers of L_rec (`nmbg.losses.Perceptual`), or "none".
-        zoom: largest random zoom; 1 trains on full frames. With it, windows are drawn at `window` size.
-        window: side of a random window as a share of the image's; 1 with zoom 1 is the whole frame.
+        zoom: least and largest random zoom of training windows, beside the photographs' own pixels.
+        window: sides of a random window as a share of the image's; where the zoom is as small, it shows the
+            whole frame.
         settle: share of the training after which BatchNorm's statistics are those of whole training views and
             are held; above 1: never. With one image a step they are that image's alone otherwise, which a new
             view is not normalised by: the preset `npbg` is then off by a colour of each view, which costs
@@ -86,7 +89,7 @@ class TrainConfig:
     stages: tuple[Stage, ...]
     start: Start = "fit"
     perceptual: str = "none"
-    zoom: float = 1.0
+    zoom: tuple[float, float] = AS_TAKEN
     window: float = 1.0
     settle: float = 0.4
     hide_points: float = 0.0
@@ -118,6 +121,11 @@ class TrainConfig:
             raise ValueError("a wish for frames a second or megabytes needs --capacity auto")
         if not 0 <= self.artificial_views < 1:
             raise ValueError(f"artificial views: expected a share in [0, 1), got {self.artificial_views}")
+        if not self.window <= self.zoom[0] <= self.zoom[1]:
+            raise ValueError(
+                f"a zoom from {self.zoom[0]:g} to {self.zoom[1]:g}: expected the smaller first, and none "
+                f"below the window's share of a side, {self.window:g}"
+            )
         if not 0 <= self.hide_points < 1:
             raise ValueError(f"hidden points: expected a share in [0, 1), got {self.hide_points}")
         if self.hide_points and not self.model.points:
@@ -133,7 +141,7 @@ class TrainConfig:
     @property
     def whole_frames(self) -> bool:
         """Whether every step sees a whole frame, the same in every epoch."""
-        return self.zoom == 1 and self.window == 1
+        return self.zoom == AS_TAKEN and self.window == 1
 
 
 NETWORK = (16, 32, 64, 128, 256)
@@ -155,6 +163,13 @@ _radius = replace(_npbg, point_radius=0.006, point_weight=True)
 _mesh = replace(_radius, faces=True)
 _directional = replace(_mesh, degree=2)
 _split = replace(_directional, layers=2)
+
+
+def without_perceptual(stage: Stage) -> Stage:
+    """A stage that compares colours alone where it had L_rec."""
+    if not stage.perceptual:
+        return stage
+    return replace(stage, perceptual=0.0, l1=1.0, adversarial=BESIDE_L1 * stage.adversarial)
 
 
 def _rung(name: str, model: ModelConfig) -> TrainConfig:
@@ -210,7 +225,7 @@ PRESETS: dict[str, TrainConfig] = {
             ),
             start="zeros",
             perceptual="vgg19",
-            zoom=2.0,
+            zoom=(0.5, 1.0),
             window=0.5,
             artificial_views=ARTIFICIAL_VIEWS,
             epochs=100,

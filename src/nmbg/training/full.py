@@ -28,7 +28,7 @@ from nmbg.training.initial import take_over
 from nmbg.training.loop import Loop
 from nmbg.training.member import Member, begin, split_training
 from nmbg.training.schedule import extra_steps, shard
-from nmbg.training.trainer import make_adversary, make_perceptual, smallest_view
+from nmbg.training.trainer import make_adversary, make_perceptual, smallest_view, with_layers
 from nmbg.training.views import GIB
 
 EPOCHS = 15  # paper, section 4
@@ -61,8 +61,9 @@ def train_together(
     """
     clock = Clock()
     scenes = {folder.resolve().name: folder for folder in folders}
+    config = with_layers(config, [Scene.load(folder) for folder in folders], init)
     _check(scenes, folders, config)
-    company = _Company.of(run, scenes, config)
+    company = _Company.of(run, scenes, config, clock)
     perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *company.smallest)
     if init is not None:
         take_over(init, config, company.bare, adversary)
@@ -86,12 +87,13 @@ def train_together(
     return run
 
 
-def resume_together(run: Path, weights: Path | None = None) -> Path:
+def resume_together(run: Path, weights: Path | None = None, device: str | None = None) -> Path:
     """Continue an interrupted run over several scenes, with any number of processes up to the scenes'.
 
     Args:
         run: run folder.
         weights: folder of pretrained weights for L_rec.
+        device: "cpu" or "cuda"; None for that it was trained on.
 
     Returns:
         the run folder.
@@ -101,13 +103,14 @@ def resume_together(run: Path, weights: Path | None = None) -> Path:
         KeyboardInterrupt: interrupted; a checkpoint was saved.
     """
     scenes, config = checkpoint.load_config(run)
+    config = replace(config, device=device or config.device)
     found = checkpoint.latest_checkpoint(run)
     if found is None:
         raise NmbgError(f"{run}: no checkpoint to resume from; train it anew with --overwrite")
     _check(scenes, list(scenes.values()), config)
     state, optimisers = checkpoint.load_progress(found), checkpoint.load_optimisers(found)
     clock = Clock(state.seconds)
-    company = _Company.of(run, scenes, config)
+    company = _Company.of(run, scenes, config, clock)
     company.written = {name: state.scenes[name] for name in company.written}
     checkpoint.load_module(found, "network", company.bare)
     perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *company.smallest)
@@ -143,6 +146,7 @@ class _Company:
         smallest: least width and height of a view of any scene.
         config: how they are trained.
         scenes: folders of this process's scenes.
+        clock: of the run.
     """
 
     def __init__(
@@ -151,6 +155,7 @@ class _Company:
         scenes: Mapping[str, Path],
         smallest: tuple[int, int],
         config: TrainConfig,
+        clock: Clock,
     ) -> None:
         self.run, self.scenes, self.names, self.config = run, scenes, list(scenes), config
         self.smallest = smallest
@@ -162,11 +167,13 @@ class _Company:
         assert network is not None  # _check
         self.bare: nn.Module = network.to(config.device)
         self.network: nn.Module | None = self.bare
+        self.several = True
+        self.clock = clock
         self.written = dict.fromkeys(self.names, 0)  # steps of each scene's own checkpoint that is valid
         self._loaded: dict[str, Member] = {}
 
     @staticmethod
-    def of(run: Path, scenes: Mapping[str, Path], config: TrainConfig) -> _Company:
+    def of(run: Path, scenes: Mapping[str, Path], config: TrainConfig, clock: Clock) -> _Company:
         """The part of a run's scenes that this process trains."""
         counts, sizes = [], []
         for folder in scenes.values():
@@ -181,6 +188,7 @@ class _Company:
             {names[i]: scenes[names[i]] for i in mine},
             (width, height),
             config,
+            clock,
         )
 
     def share(self) -> None:
@@ -241,6 +249,6 @@ class _Company:
     def _write(self, name: str, member: Member) -> None:
         if member.steps > self.written[name]:
             modules = {"descriptors": member.renderer.descriptors, "network": self.bare}
-            progress = Progress(step=member.steps, stage=member.stage)
+            progress = Progress(step=member.steps, stage=member.stage, seconds=self.clock.seconds)
             checkpoint.save_checkpoint(member.folder, progress, modules, {"descriptors": member.states})
             self.written[name] = member.steps

@@ -29,11 +29,29 @@ def take_over(
     Raises:
         NmbgError: no such run, or one with another network.
     """
+    found = refuse_other_network(init, config)
+    checkpoint.load_module(found, "network", network)
+    if adversary is not None and (found / checkpoint.OPTIMISERS).exists():  # a compact run has none
+        states = checkpoint.load_optimisers(found)
+        if "adversary" in states:
+            adversary.load_state_dict(states["adversary"])
+
+
+def refuse_other_network(init: Path, config: TrainConfig) -> Path:
+    """The last checkpoint of a run whose network another begins with.
+
+    Args:
+        init: run folder, of one scene or several.
+        config: of the run that begins.
+
+    Raises:
+        NmbgError: no such run, or one with another network.
+    """
     _, other = checkpoint.load_config(init)
     found = checkpoint.latest_checkpoint(init)
     if found is None:
         raise NmbgError(f"--init {init}: the run has no checkpoint; train it first")
-    if network is None:
+    if not config.model.widths:
         raise NmbgError(f"--init: preset {config.preset} has no network; leave it out")
     for name in SHAPE:
         mine, theirs = getattr(config.model, name), getattr(other.model, name)
@@ -42,7 +60,4 @@ def take_over(
                 f"--init {init}: its network has {name} {theirs}, preset {config.preset} has {mine}; "
                 f"use --preset {other.preset}"
             )
-    checkpoint.load_module(found, "network", network)
-    states = checkpoint.load_optimisers(found)
-    if adversary is not None and "adversary" in states:
-        adversary.load_state_dict(states["adversary"])
+    return found

@@ -56,6 +56,11 @@ class LeftOut:
             self.meshes.append(mesh)
             self.photographs.append(renderer.photographs.recoloured(mesh.on_mesh, 1 / fit.folds))
 
+    @property
+    def nbytes(self) -> int:
+        """Memory held by prepared photographs, bytes."""
+        return sum(photographs.nbytes for photographs in self.photographs)
+
     def see(self, camera: Camera, view: View) -> Gathered:
         """What mesh and other photographs show of a training view."""
         fold, padded = self.fit.fold_of(view), self.padded(camera)

@@ -8,7 +8,7 @@ import signal
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
@@ -47,11 +47,13 @@ class Crew(Protocol):
         network: shared by all of them, or None.
         counts: their training views.
         length: least number of steps of a pass: that of the process with the most images.
+        several: whether views of different scenes may have the same name.
     """
 
     network: nn.Module | None
     counts: list[int]
     length: int
+    several: bool
 
     def member(self, scene: int) -> Member:
         """One of the scenes, loaded."""
@@ -70,7 +72,7 @@ class Attempt:
         stage: of the training.
         member: the scene that is looked at.
         example: what is looked at.
-        image: [1, 3, H, W], the render.
+        image: [1, 3, H, W], the render as it is compared: exposed as the photograph, black outside its mask.
         terms: of the loss; "loss" is what is descended.
         parts: what the stage trains.
         random: source of the step's random numbers.
@@ -117,8 +119,8 @@ class Loop:
         self.schedule = Schedule(crew.counts, config.artificial_views, config.seed, crew.length)
         self.budget = Budget(config, self.schedule.length, clock)
         self.step, self.stage, self.caution = state.step, state.stage, state.caution
-        self.settled = state.settled
-        if state.length and state.length != self.schedule.length:
+        self.settled, self.logged = state.settled, state.step
+        if state.length and state.length != self.schedule.length and config.iterations is None:
             # Other processes: the same share of the passes is over.
             self.step = round(state.step * self.schedule.length / state.length)
         self.skipped, self.in_a_row = Counter(state.skipped), 0
@@ -135,13 +137,13 @@ class Loop:
         """
         (progress,) = processes.largest([self.budget.progress(self.step)])
         stop = False
-        with Log(self.run, self.step) as log, _interruptible() as interrupted, progress_bar() as bar:
+        with Log(self.run, self.logged) as log, _interruptible() as interrupted, progress_bar() as bar:
             task = bar.add_task(f"training {self.config.preset}", total=100)
             while progress < 1 and not stop:
                 before, (index, done) = progress, self.budget.stage(progress)
                 attempt = self._attempt(index)
                 with processes.others_may_end():
-                    finite = differentiate(attempt.terms["loss"], attempt.parts)
+                    finite, sound = differentiate(attempt.terms["loss"], attempt.parts)
                 # Clocks differ: what hangs on them is agreed on, too.
                 overdue = self.clock.seconds - self._saved > SAVE_EVERY
                 facts = (not finite, bool(interrupted), overdue, self.budget.progress(self.step + 1))
@@ -150,7 +152,7 @@ class Loop:
                 self.step += 1
                 attempt.member.steps += 1
                 if bad:
-                    self._leave_out(attempt, finite)
+                    self._leave_out(attempt, sound if processes.size() > 1 else finite)
                 else:
                     self._descend(attempt, done)
                 if not self.settled and progress >= self.config.settle:
@@ -205,10 +207,12 @@ class Loop:
         if self.settled and self.crew.network is not None:
             hold_statistics(self.crew.network)
         example = member.example(turn.view, self.step)
+        if self.crew.several:
+            example = replace(example, name=f"{member.folder.name}/{example.name}")
         statistics = _statistics(self.crew.network)
         random = torch.Generator().manual_seed(self.config.seed * 1_000_003 + self.step + 1)
         with torch.autocast(self.config.device, torch.bfloat16, enabled=self.config.bf16):
-            image = render(member.renderer, stage, example)[None]
+            image = as_photographed(render(member.renderer, stage, example)[None], example)
             terms = losses(image, stage, self.perceptual, self.adversary, example, random)
         parts = [*self._network, *member.parts(index)]
         return Attempt(stage, member, example, image, terms, parts, random, statistics)
@@ -219,7 +223,8 @@ class Loop:
         descend(attempt.parts, self.caution * ((1 - done) if attempt.stage.decay else 1.0))
         if self.adversary is not None and attempt.stage.adversarial:
             photograph = _photograph(attempt)
-            loss = self.adversary.learn(attempt.image, photograph, attempt.random)
+            with processes.others_may_end():
+                loss = self.adversary.learn(attempt.image, photograph, attempt.random)
             attempt.terms["discriminator"] = loss
 
     def _settle(self, stage: Stage) -> None:
@@ -241,12 +246,12 @@ class Loop:
         with torch.autocast(self.config.device, torch.bfloat16, enabled=self.config.bf16):
             return render(member.renderer, stage, example)
 
-    def _leave_out(self, attempt: Attempt, finite: bool) -> None:
-        """Let a step not have been; `finite` where it is another process that has to."""
+    def _leave_out(self, attempt: Attempt, sound: bool) -> None:
+        """Let a step not have been; `sound` where another process is the reason."""
         name = attempt.example.name
         self.in_a_row += 1
         _restore(self.crew.network, attempt.statistics)
-        if not finite:
+        if not sound:
             self.skipped[name] += 1
             if self.skipped[name] == 1:
                 console.print(f"{name}: the loss is not finite at step {self.step}; the step is left out")
@@ -309,6 +314,13 @@ def render(renderer: Renderer, stage: Stage, example: Example) -> Tensor:
     return renderer.colour(example.sight, example.camera)
 
 
+def as_photographed(image: Tensor, example: Example) -> Tensor:
+    """A render [1, 3, H, W] as its photograph shows what it shows: as exposed, and black outside the mask."""
+    if example.exposure is not None:
+        image = example.exposure.to(image.device).apply(image[0])[None]
+    return image if example.mask is None else image * example.mask.to(image.device)
+
+
 def losses(
     image: Tensor,
     stage: Stage,
@@ -317,17 +329,15 @@ def losses(
     example: Example,
     generator: torch.Generator,
 ) -> dict[str, Tensor]:
-    """The stage's loss and its terms; an artificial view has the adversarial one alone."""
+    """The stage's loss and its terms of a render as photographed; an artificial view has L_GAN alone."""
     terms = {"loss": image.new_zeros(())}
-    if example.exposure is not None:
-        image = example.exposure.to(image.device).apply(image[0])[None]
     if example.image is not None:
         target = (example.image.to(image.device) / 255)[None]
         mask = None
         if example.mask is not None:
             mask = example.mask.to(image.device)[None, None].float()
             # Features near the mask's border also see pixels beyond it: both show the same black there.
-            image, target = image * mask, target * mask
+            target = target * mask
         terms["l1"] = l1(image, target, mask)
         terms["loss"] = stage.l1 * terms["l1"]
         if stage.perceptual and perceptual is not None:

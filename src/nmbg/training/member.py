@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from nmbg.cameras import Camera
 from nmbg.capacity.plan import plan
@@ -23,7 +23,7 @@ from nmbg.scene import Scene, View
 from nmbg.training import checkpoint
 from nmbg.training.artificial import ArtificialCameras
 from nmbg.training.camera_picture import camera_picture
-from nmbg.training.config import TrainConfig
+from nmbg.training.config import AS_TAKEN, TrainConfig
 from nmbg.training.inspection import doubtful, without
 from nmbg.training.left_out import LeftOut, can_leave_out, fit_left_out, refit_left_out
 from nmbg.training.optimiser import Part, descriptors_part
@@ -53,11 +53,12 @@ class Member:
         fit: ColourFit | None = None,
     ) -> None:
         self.folder, self.scene, self.config, self.renderer = folder, scene, config, renderer
-        checkpoint.remember_photographs(folder, renderer)
+        checkpoint.remember_photographs(folder, renderer, config.cache_gib)
         if fit is None and can_leave_out(config):
             fit = refit_left_out(renderer, scene)
         renderer.exposures = checkpoint.load_exposures(folder)
-        self.training, self.validation = make_views(scene, config, renderer, fit)
+        self.left_out = None if fit is None or not can_leave_out(config) else LeftOut(renderer, fit)
+        self.training, self.validation = make_views(scene, config, renderer, self.left_out)
         self.artificial = ArtificialCameras(scene) if config.artificial_views else None
         self.steps = 0  # that looked at it
         self.stage = -1  # whose rates the descriptors have
@@ -98,7 +99,8 @@ class Member:
         """Memory held, bytes; the optimiser's moments count as soon as there may be some."""
         coefficients = sum(p.nbytes for p in self.renderer.descriptors.parameters())
         geometry = sum(mesh.vertices.nbytes + mesh.faces.nbytes for mesh in self.renderer.layers)
-        return 3 * coefficients + geometry + self.training.nbytes + self.validation.nbytes
+        holders = (self.training, self.validation, self.left_out, self.renderer.photographs)
+        return 3 * coefficients + geometry + sum(part.nbytes for part in holders if part is not None)
 
     def example(self, view: int | None, step: int) -> Example:
         """What a step looks at: a training view, or an artificial one for None; with points missing."""
@@ -119,12 +121,27 @@ class Member:
             # Shaded under a gradient, unlike what see() gives without photographs.
             see = self.renderer.see if config.model.sources else self.renderer.rasterize
             with torch.no_grad():
-                return Example("an artificial view", camera, see(camera), None, None)
+                sight = see(camera)
+            mask = shown(sight, camera) if self.training.masked else None
+            return Example("an artificial view", camera, sight, None, mask)
         if config.whole_frames:
             return self.training.frame(view)
-        if config.zoom == 1 and can_leave_out(config):
+        if config.zoom == AS_TAKEN and can_leave_out(config):
             return self.training.crop(view, config.window, 2 ** (config.model.levels - 1), generator)
         return self.training.window(view, config.window, config.zoom, generator)
+
+
+def shown(sight: Prepared, camera: Camera) -> Tensor | None:
+    """Where a view shows any geometry, [H, W] bool; None of what is not rasterized."""
+    if not isinstance(sight, list):
+        return None
+    found = torch.zeros(camera.height, camera.width, dtype=torch.bool)
+    for layer in sight:
+        finest = layer.levels[0]
+        for index in (finest.face, finest.index):
+            if index is not None:
+                found |= index[: camera.height, : camera.width] >= 0
+    return found
 
 
 def begin(
@@ -205,19 +222,16 @@ def _fit_colours(scene: Scene, config: TrainConfig, renderer: Renderer) -> Colou
 
 
 def make_views(
-    scene: Scene, config: TrainConfig, renderer: Renderer, fit: ColourFit | None
+    scene: Scene, config: TrainConfig, renderer: Renderer, left_out: LeftOut | None
 ) -> tuple[Views, Views]:
-    """Examples of both parts of the training views."""
+    """Examples of both parts of the training views; what is left out of them, where anything is."""
 
     def rasterized(camera: Camera, view: View) -> Prepared:
         return renderer.rasterize(camera)
 
-    see: Callable[[Camera, View], Prepared] = rasterized
-    if can_leave_out(config):
-        assert fit is not None  # ModelConfig and the presets: photographs stand on a fitted mesh
-        see = LeftOut(renderer, fit).see
+    see: Callable[[Camera, View], Prepared] = rasterized if left_out is None else left_out.see
     training, aside = split_training(scene, config)
-    frames = config.whole_frames or (config.zoom == 1 and can_leave_out(config))
+    frames = config.whole_frames or (config.zoom == AS_TAKEN and can_leave_out(config))
     # Half of the memory is for what the loss keeps, where it keeps something.
     cache = config.cache_gib / (2 if config.whole_frames and config.perceptual != "none" else 1)
     exposures = renderer.exposures

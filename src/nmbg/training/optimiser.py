@@ -90,13 +90,23 @@ def network_part(network: nn.Module | None, stage: Stage) -> list[Part]:
     return [(torch.optim.Adam(network.parameters(), lr=stage.network_rate), stage.network_rate)]
 
 
-def differentiate(loss: Tensor, parts: Sequence[Part]) -> bool:
-    """Fill the gradients of what the parts train; whether loss and gradients are finite."""
+def differentiate(loss: Tensor, parts: Sequence[Part]) -> tuple[bool, bool]:
+    """Fill the gradients of what the parts train.
+
+    Returns:
+        whether loss and gradients are finite, and whether loss and sparse gradients are, which no other
+        process has a share in.
+    """
     for optimiser, _ in parts:
         optimiser.zero_grad(set_to_none=True)
     loss.backward()  # type: ignore[no-untyped-call]
     grads = [p.grad for optimiser, _ in parts for group in optimiser.param_groups for p in group["params"]]
-    values = [loss, *(g._values() if g.is_sparse else g for g in grads if g is not None)]
+    own = [loss, *(g._values() for g in grads if g is not None and g.is_sparse)]
+    sound = _finite(own)
+    return sound and _finite([g for g in grads if g is not None and not g.is_sparse]), sound
+
+
+def _finite(values: Sequence[Tensor]) -> bool:
     return all(bool(torch.isfinite(value.sum())) for value in values)
 
 

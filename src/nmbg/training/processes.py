@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from nmbg.errors import NmbgError
-from nmbg.progress import console
+from nmbg.progress import hide_bars
 
 T = TypeVar("T")
 
@@ -34,9 +34,13 @@ def joined(device: str) -> Iterator[None]:
         yield
         return
     if device == "cuda":
-        torch.cuda.set_device(int(os.environ.get("LOCAL_RANK", "0")))
+        place, devices = int(os.environ.get("LOCAL_RANK", "0")), torch.cuda.device_count()
+        if place >= devices:
+            raise NmbgError(f"{place + 1} processes for {devices} CUDA devices; start at most one for each")
+        torch.cuda.set_device(place)
     dist.init_process_group("nccl" if device == "cuda" else "gloo", timeout=PATIENCE)
-    console.quiet = rank() > 0  # one progress bar
+    if rank():
+        hide_bars()
     try:
         yield
     finally:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +12,14 @@ from torch import nn
 from nmbg.atomic import atomic_folder
 from nmbg.errors import NmbgError
 from nmbg.losses import Perceptual
+from nmbg.progress import console
 from nmbg.scene import Scene
 from nmbg.training import checkpoint
 from nmbg.training.adversary import Adversary, adversary_for
 from nmbg.training.budget import Clock
 from nmbg.training.checkpoint import Progress
 from nmbg.training.config import TrainConfig
-from nmbg.training.initial import take_over
+from nmbg.training.initial import refuse_other_network, take_over
 from nmbg.training.loop import Loop
 from nmbg.training.member import Member, begin
 from nmbg.training.targets import PerceptualTerm
@@ -48,6 +51,9 @@ def train(
         KeyboardInterrupt: interrupted; a checkpoint was saved.
     """
     clock = Clock()
+    config = with_layers(config, [scene], init)
+    if init is not None:
+        refuse_other_network(init, config)
     perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *smallest_view(scene))
     with atomic_folder(run, overwrite) as temporary:
         scene_, config, renderer, colours = begin(scene, config, temporary, None)
@@ -62,12 +68,13 @@ def train(
     return run
 
 
-def resume(run: Path, weights: Path | None = None) -> Path:
+def resume(run: Path, weights: Path | None = None, device: str | None = None) -> Path:
     """Continue an interrupted run; in iterations or epochs, to the bit what it would have been.
 
     Args:
         run: run folder of one scene.
         weights: folder of pretrained weights for L_rec.
+        device: "cpu" or "cuda"; None for that it was trained on.
 
     Returns:
         the run folder.
@@ -76,7 +83,8 @@ def resume(run: Path, weights: Path | None = None) -> Path:
         NmbgError: the folder or its checkpoint is missing or damaged.
         KeyboardInterrupt: interrupted; a checkpoint was saved.
     """
-    _, config = checkpoint.load_one(run)
+    source, config = checkpoint.load_one(run)
+    config = replace(config, device=device or config.device)
     found = checkpoint.latest_checkpoint(run)
     if found is None:
         raise NmbgError(f"{run}: no checkpoint to resume from; train it anew with --overwrite")
@@ -85,10 +93,12 @@ def resume(run: Path, weights: Path | None = None) -> Path:
     perceptual = make_perceptual(config, weights)
     member = Member.load(run, config, None, found)
     checkpoint.load_module(found, "network", member.renderer.network)
-    adversary = make_adversary(config, *smallest_view(member.scene))
+    # Of all views, those that were left out as well: as it was made.
+    adversary = make_adversary(config, *smallest_view(Scene.load(source)))
     if adversary is not None and "adversary" in optimisers:
         adversary.load_state_dict(optimisers["adversary"])
-    Loop(config, run, _Alone(member), perceptual, adversary, state, optimisers, clock).fit()
+    if config.stages:
+        Loop(config, run, _Alone(member), perceptual, adversary, state, optimisers, clock).fit()
     return run
 
 
@@ -98,7 +108,7 @@ class _Alone:
     def __init__(self, member: Member) -> None:
         self._member = member
         self.network: nn.Module | None = member.renderer.network
-        self.counts, self.length = [len(member.training)], 0
+        self.counts, self.length, self.several = [len(member.training)], 0, False
 
     def member(self, scene: int) -> Member:
         """The scene."""
@@ -120,6 +130,17 @@ def make_perceptual(config: TrainConfig, weights: Path | None) -> PerceptualTerm
     return PerceptualTerm(loss, config.cache_gib / 2 if config.whole_frames else 0.0)
 
 
+def with_layers(config: TrainConfig, scenes: Sequence[Scene], init: Path | None) -> TrainConfig:
+    """A configuration with a second layer only where a scene has one, or the network that it begins with."""
+    wanted = max(scene.layers for scene in scenes)
+    if init is not None:
+        wanted = checkpoint.load_config(init)[1].model.layers
+    if wanted >= config.model.layers:
+        return config
+    console.print("one layer: preprocess found no background apart (its --layers 2 makes one)")
+    return replace(config, model=replace(config.model, layers=wanted))
+
+
 def smallest_view(scene: Scene) -> tuple[int, int]:
     """The least width and the least height of a scene's training views, pixels."""
     cameras = [view.camera for view in scene.train]
@@ -127,7 +148,18 @@ def smallest_view(scene: Scene) -> tuple[int, int]:
 
 
 def make_adversary(config: TrainConfig, width: int, height: int) -> Adversary | None:
-    """L_GAN, where a stage asks for it, for windows of views of width × height pixels."""
+    """L_GAN, where a stage asks for it, for windows of views of width × height pixels.
+
+    Raises:
+        NmbgError: they are too small for the network.
+    """
+    width, height = round(config.window * width), round(config.window * height)
+    coarsest = 2 ** (config.model.levels - 1)
+    if config.model.widths and max(width, height) <= coarsest:
+        raise NmbgError(
+            f"windows of {width}×{height} pixels are too small for a network of {config.model.levels} "
+            f"levels: take larger images, or a larger --window, of more than {coarsest} pixels"
+        )
     if not any(stage.adversarial for stage in config.stages):
         return None
-    return adversary_for(round(config.window * width), round(config.window * height), config)
+    return adversary_for(width, height, config)

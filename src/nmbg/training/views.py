@@ -76,6 +76,11 @@ class Views:
         """Memory held by what is kept, bytes."""
         return sum(example.nbytes for example in self._cache.values())
 
+    @property
+    def masked(self) -> bool:
+        """Whether photographs have masks."""
+        return any(view.mask for view in self.views)
+
     def photograph(self, i: int) -> tuple[Tensor, Tensor | None]:
         """The photograph of view i, [3, H, W] uint8, and its mask, [H, W] bool or None."""
         return self._load(self.views[i])
@@ -124,15 +129,15 @@ class Views:
             None if frame.mask is None else frame.mask[rows, columns],
         )
 
-    def window(self, i: int, share: float, zoom: float, generator: torch.Generator) -> Example:
-        """A random window of view i, zoomed by a random factor in [1, zoom], resampled bilinearly.
+    def window(self, i: int, share: float, zoom: tuple[float, float], generator: torch.Generator) -> Example:
+        """A random window of view i, zoomed by a random factor, resampled bilinearly.
 
         The camera moves with the window exactly, so photograph and geometry stay aligned to the pixel.
 
         Args:
             i: view.
-            share: the window's sides as a share of the image's, after zooming.
-            zoom: largest zoom.
+            share: the window's sides as a share of the image's.
+            zoom: least and largest size of the image that it is cut from, beside the photograph's.
             generator: source of the random numbers.
         """
         view = self.views[i]
@@ -156,21 +161,23 @@ class Views:
 
 
 def random_window(
-    camera: Camera, share: float, zoom: float, generator: torch.Generator
+    camera: Camera, share: float, zoom: tuple[float, float], generator: torch.Generator
 ) -> tuple[Camera, float, float, float]:
-    """A random window of a camera's image, zoomed by a random factor in [1, zoom].
+    """A random window of a camera's image, zoomed by a random factor.
 
     Args:
         camera: the whole view.
-        share: the window's sides as a share of the image's, after zooming.
-        zoom: largest zoom.
+        share: the window's sides as a share of the image's.
+        zoom: least and largest size of the image that it is cut from, beside the camera's own; with zoom
+            `share` it shows all of it.
         generator: source of the random numbers.
 
     Returns:
         the window's camera, its corner x, y in pixels of the image, and the zoom.
     """
     factor, fx, fy = torch.rand(3, generator=generator).tolist()
-    scale = 1 + (zoom - 1) * factor
+    least, largest = zoom
+    scale = least + (largest - least) * factor
     width, height = max(1, round(share * camera.width)), max(1, round(share * camera.height))
     # A window of `size` pixels at `scale` covers size / scale pixels of the photograph.
     x0 = fx * (camera.width - width / scale)
