@@ -121,3 +121,11 @@ def test_multiply_adds_of_a_network_by_hand(scene_folder: Path) -> None:
     assert multiply_adds(renderer, camera) > network_multiply_adds(renderer, camera)
     plain = Renderer(replace(model, widths=()), [scene.mesh])
     assert network_multiply_adds(plain, camera) == 0
+
+
+def test_one_training_view_tells_nothing_about_the_network(scene_folder: Path) -> None:
+    scene = Scene.load(scene_folder)
+    kept = [view for view in scene.views if view.split == "test" or view is scene.train[0]]
+    planned = plan(replace(scene, views=tuple(kept)), AUTO)
+    assert planned.config.model.widths == AUTO.model.widths
+    assert planned.network is None

@@ -1,6 +1,7 @@
 """Another program's pictures, measured as our own."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -111,6 +112,15 @@ def test_pictures_that_cannot_be_matched(make_run, tmp_path, names, index, messa
         (tmp_path / "index.json").write_text(index)
     with pytest.raises(NmbgError, match=message):
         find_renders(folder, make_run().scene.test, tmp_path / "index.json" if index else None)
+
+
+def test_no_picture_is_taken_for_two_views(make_run, tmp_path):
+    views = [
+        replace(view, name=f"{folder}/a.jpg")
+        for view, folder in zip(make_run().scene.test, "xy", strict=True)
+    ]
+    with pytest.raises(NmbgError, match=r"picture of both x/a\.jpg and y/a\.jpg"):
+        find_renders(pictures(tmp_path / "renders", "a.png"), views)
 
 
 def test_a_wrong_size_names_the_expected_one_before_any_work(make_run, tmp_path):

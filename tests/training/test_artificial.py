@@ -10,6 +10,7 @@ import torch
 import trimesh
 
 from nmbg.cameras import Camera, foreground_sphere, up_axis
+from nmbg.errors import NmbgError
 from nmbg.mesh import Mesh
 from nmbg.scene import Scene, View
 from nmbg.sight import look
@@ -147,3 +148,9 @@ def test_the_far_shell_has_no_back(ring: Scene) -> None:
     assert artificial._facts(sight)[1] > 0.5
     artificial.scene = replace(outward, shell_faces=len(faces) - things)
     assert artificial._facts(sight)[1] == 0
+
+
+def test_cameras_at_one_place_have_no_artificial_views_around_them(ring: Scene) -> None:
+    alone = replace(ring, views=ring.views[:1], radius=0.0)
+    with pytest.raises(NmbgError, match="stand at one place; give --artificial-views 0"):
+        ArtificialCameras(alone)

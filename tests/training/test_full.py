@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import torch
@@ -22,10 +22,12 @@ from nmbg.errors import NmbgError
 from nmbg.evaluation.evaluate import evaluate
 from nmbg.preprocess import PreprocessOptions, preprocess
 from nmbg.scene import Scene
-from nmbg.training import checkpoint, loop
+from nmbg.training import checkpoint, full, loop
 from nmbg.training.config import PRESETS
 from nmbg.training.full import resume_together, train_together
-from nmbg.training.trainer import train
+from nmbg.training.member import Member, begin
+from nmbg.training.targets import PerceptualTerm
+from nmbg.training.trainer import train, with_layers
 
 SMALL = replace(
     PRESETS["split"], perceptual="none", minutes=None, epochs=None, iterations=12, validation_views=1
@@ -307,3 +309,52 @@ def test_a_process_that_dies_ends_the_run_with_a_message_and_a_checkpoint(
     found = checkpoint.latest_checkpoint(run)
     assert found is not None
     assert checkpoint.load_progress(found).step == 4
+
+
+def test_views_of_the_same_name_have_features_of_their_own(
+    scenes: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both scenes hold the same capture, at different sizes."""
+
+    class Pixels:
+        scale = 1.0
+
+        def features(self, image: Tensor) -> list[Tensor]:
+            return [image]
+
+        def distance(self, a: list[Tensor], b: list[Tensor], mask: Tensor | None) -> Tensor:
+            assert a[0].shape == b[0].shape
+            return (a[0] - b[0]).abs().mean()
+
+    term = PerceptualTerm(cast(Any, Pixels()), 1.0)
+    monkeypatch.setattr(full, "make_perceptual", lambda *_: term)
+    config = replace(SMALL, iterations=None, epochs=3, perceptual="vgg19")
+    run = train_together(scenes, config, tmp_path / "run")
+    names = {f"{folder.name}/{view.name}" for folder in scenes for view in Scene.load(folder).train}
+    assert 2 < len(term._cache) <= len(names)
+    assert set(term._cache) <= names
+    # What a scene's own folder says of its training is the run's.
+    for folder in scenes:
+        found = checkpoint.latest_checkpoint(run / "scenes" / folder.name)
+        assert found is not None
+        assert checkpoint.load_progress(found).seconds > 0
+
+
+def test_a_second_layer_only_where_a_scene_has_one(scenes: list[Path], tmp_path: Path) -> None:
+    two = Scene.load(scenes[0])
+    one = replace(two, layers=1)
+    assert with_layers(SMALL, [one, two], None).model.layers == 2
+    assert with_layers(SMALL, [one], None).model.layers == 1
+    begun = train(two, replace(SMALL, iterations=0), tmp_path / "run")
+    assert with_layers(SMALL, [one], begun).model.layers == 2
+
+
+def test_photographs_that_are_kept_ready_count_as_held(scene_folder: Path, tmp_path: Path) -> None:
+    config = replace(PRESETS["nmbg"], refine="none", minutes=None, iterations=1)
+    scene, config, renderer, fit = begin(Scene.load(scene_folder), config, tmp_path, None)
+    member = Member(tmp_path, scene, config, renderer, fit)
+    before = member.nbytes
+    member.example(0, 0)
+    assert member.left_out is not None
+    assert member.left_out.nbytes > 0
+    assert member.nbytes >= before + member.left_out.nbytes
