@@ -274,6 +274,8 @@ def _config(preset: str, device: str, options: dict[str, Any], scenes: int, init
         raise NmbgError(f"--photos: preset {preset} blends no photographs; leave it out")
     if given["capacity"] == "auto" and not can_leave_out(PRESETS[preset]):
         raise NmbgError(f"--capacity auto: does not size preset {preset}; use nmbg or photos")
+    if given["capacity"] == "auto" and given.get("photos") == "all":
+        raise NmbgError("--capacity auto: keeps the photographs that the scene needs, --photos all keeps all")
     if given["capacity"] == "auto" and init:
         raise NmbgError("--capacity auto: --init gives the network its size; leave one of the two out")
     if given["capacity"] == "auto" and scenes > 1:

@@ -83,11 +83,15 @@ def test_other_presets_are_refused(scene_folder: Path, preset: str) -> None:
         (["--fps", "30"], "--capacity auto"),
         (["--megabytes", "2"], "--capacity auto"),
         (["--preset", "mesh", "--capacity", "auto"], "nmbg or photos"),
+        (["--photos", "all", "--capacity", "auto"], "--photos all keeps all"),
+        (["--preset", "photos", "--capacity", "auto", "--fps", "30"], "no network that could be smaller"),
+        (["--init", "{run}", "--capacity", "auto"], "gives the network its size"),
     ],
 )
 def test_wishes_that_make_no_sense_are_refused(
     scene_folder: Path, tmp_path: Path, words: list[str], message: str
 ) -> None:
+    words = [word.format(run=tmp_path) for word in words]
     result = CliRunner().invoke(main, ["train", str(scene_folder), "--output", str(tmp_path / "r"), *words])
     assert result.exit_code == 2
     assert message in result.stderr

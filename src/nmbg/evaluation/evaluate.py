@@ -68,7 +68,7 @@ def evaluate(
 
     judged = judge(run_folder, scene, views, split, measures, render)
     report = Report(
-        run=run_folder.name,
+        run=run_folder.resolve().name,
         preset=run.config.preset,
         views={name: {**values, "seconds": seconds[name]} for name, values in judged.pop("views").items()},
         seconds_per_frame=statistics.median(seconds.values()),
