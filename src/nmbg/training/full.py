@@ -28,7 +28,7 @@ from nmbg.training.initial import take_over
 from nmbg.training.loop import Loop
 from nmbg.training.member import Member, begin, split_training
 from nmbg.training.schedule import extra_steps, shard
-from nmbg.training.trainer import make_adversary, make_perceptual, smallest_view, with_layers
+from nmbg.training.trainer import make_adversary, make_perceptual, smallest_window, with_layers
 from nmbg.training.views import GIB
 
 EPOCHS = 15  # paper, section 4
@@ -64,7 +64,7 @@ def train_together(
     config = with_layers(config, [Scene.load(folder) for folder in folders], init)
     _check(scenes, folders, config)
     company = _Company.of(run, scenes, config, clock)
-    perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *company.smallest)
+    perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *company.window)
     if init is not None:
         take_over(init, config, company.bare, adversary)
     first = processes.rank() == 0
@@ -113,7 +113,7 @@ def resume_together(run: Path, weights: Path | None = None, device: str | None =
     company = _Company.of(run, scenes, config, clock)
     company.written = {name: state.scenes[name] for name in company.written}
     checkpoint.load_module(found, "network", company.bare)
-    perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *company.smallest)
+    perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *company.window)
     if adversary is not None and "adversary" in optimisers:
         adversary.load_state_dict(optimisers["adversary"])
     company.share()
@@ -143,7 +143,7 @@ class _Company:
 
     Args:
         run: run folder.
-        smallest: least width and height of a view of any scene.
+        window: least width and height of what training looks at in any scene.
         config: how they are trained.
         scenes: folders of this process's scenes.
         clock: of the run.
@@ -153,12 +153,12 @@ class _Company:
         self,
         run: Path,
         scenes: Mapping[str, Path],
-        smallest: tuple[int, int],
+        window: tuple[int, int],
         config: TrainConfig,
         clock: Clock,
     ) -> None:
         self.run, self.scenes, self.names, self.config = run, scenes, list(scenes), config
-        self.smallest = smallest
+        self.window = window
         # Known when the scenes' folders are complete: share().
         self.counts: list[int] = []
         self.length = 0
@@ -175,21 +175,12 @@ class _Company:
     @staticmethod
     def of(run: Path, scenes: Mapping[str, Path], config: TrainConfig, clock: Clock) -> _Company:
         """The part of a run's scenes that this process trains."""
-        counts, sizes = [], []
-        for folder in scenes.values():
-            scene = Scene.load(folder)
-            counts.append(len(split_training(scene, config)[0]))
-            sizes.append(smallest_view(scene))
+        loaded = [Scene.load(folder) for folder in scenes.values()]
+        counts = [len(split_training(scene, config)[0]) for scene in loaded]
         dealt = shard(counts, processes.size())
         mine, names = dealt[processes.rank()], list(scenes)
-        width, height = (min(side) for side in zip(*sizes, strict=True))
-        return _Company(
-            run,
-            {names[i]: scenes[names[i]] for i in mine},
-            (width, height),
-            config,
-            clock,
-        )
+        window = smallest_window(config, loaded)
+        return _Company(run, {names[i]: scenes[names[i]] for i in mine}, window, config, clock)
 
     def share(self) -> None:
         """From now on the network's gradients are averaged; the scenes' folders are complete."""

@@ -140,7 +140,8 @@ def shown(sight: Prepared, camera: Camera) -> Tensor | None:
         finest = layer.levels[0]
         for index in (finest.face, finest.index):
             if index is not None:
-                found |= index[: camera.height, : camera.width] >= 0
+                samples = index.shape[0] // finest.camera.height
+                found |= index[::samples, ::samples][: camera.height, : camera.width] >= 0
     return found
 
 

@@ -54,7 +54,8 @@ def train(
     config = with_layers(config, [scene], init)
     if init is not None:
         refuse_other_network(init, config)
-    perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *smallest_view(scene))
+    window = smallest_window(config, [scene])
+    perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *window)
     with atomic_folder(run, overwrite) as temporary:
         scene_, config, renderer, colours = begin(scene, config, temporary, None)
         if init is not None:
@@ -94,7 +95,7 @@ def resume(run: Path, weights: Path | None = None, device: str | None = None) ->
     member = Member.load(run, config, None, found)
     checkpoint.load_module(found, "network", member.renderer.network)
     # Of all views, those that were left out as well: as it was made.
-    adversary = make_adversary(config, *smallest_view(Scene.load(source)))
+    adversary = make_adversary(config, *smallest_window(config, [Scene.load(source)]))
     if adversary is not None and "adversary" in optimisers:
         adversary.load_state_dict(optimisers["adversary"])
     if config.stages:
@@ -141,25 +142,28 @@ def with_layers(config: TrainConfig, scenes: Sequence[Scene], init: Path | None)
     return replace(config, model=replace(config.model, layers=wanted))
 
 
-def smallest_view(scene: Scene) -> tuple[int, int]:
-    """The least width and the least height of a scene's training views, pixels."""
-    cameras = [view.camera for view in scene.train]
-    return min(camera.width for camera in cameras), min(camera.height for camera in cameras)
-
-
-def make_adversary(config: TrainConfig, width: int, height: int) -> Adversary | None:
-    """L_GAN, where a stage asks for it, for windows of views of width × height pixels.
+def smallest_window(config: TrainConfig, scenes: Sequence[Scene]) -> tuple[int, int]:
+    """The least width and the least height of what training looks at, pixels.
 
     Raises:
-        NmbgError: they are too small for the network.
+        NmbgError: too small for the network.
     """
-    width, height = round(config.window * width), round(config.window * height)
+    cameras = [view.camera for scene in scenes for view in scene.train]
+    width, height = (
+        round(config.window * min(sides))
+        for sides in zip(*((camera.width, camera.height) for camera in cameras), strict=True)
+    )
     coarsest = 2 ** (config.model.levels - 1)
     if config.model.widths and max(width, height) <= coarsest:
         raise NmbgError(
             f"windows of {width}×{height} pixels are too small for a network of {config.model.levels} "
             f"levels: take larger images, or a larger --window, of more than {coarsest} pixels"
         )
+    return width, height
+
+
+def make_adversary(config: TrainConfig, width: int, height: int) -> Adversary | None:
+    """L_GAN, where a stage asks for it, for windows of width × height pixels."""
     if not any(stage.adversarial for stage in config.stages):
         return None
     return adversary_for(width, height, config)
