@@ -28,13 +28,14 @@ from nmbg.scene import Scene
 SHOWN = ("psnr", "ssim", "lpips_squeeze")
 
 # Rung → preset, and what is changed in it. `before` ones are without what brings training and held-out views
-# together (docs/quality.md): BatchNorm's statistics run, no points are hidden.
+# together (docs/quality.md): BatchNorm's statistics run, no points are hidden, exposures are not told apart.
+BEFORE = {"settle": 2.0, "hide_points": 0.0, "exposure": False}
 RUNGS: dict[str, tuple[str, dict[str, Any]]] = {
     **{
         preset: (preset, {})
         for preset in ("npbg", "npbg-radius", "npbg-mesh", "directional", "split", "adversarial", "paper")
     },
-    **{f"{preset} before": (preset, {"settle": 2.0, "hide_points": 0.0}) for preset in ("npbg", "paper")},
+    **{f"{preset} before": (preset, BEFORE) for preset in ("npbg", "paper")},
     **{preset: (preset, {}) for preset in ("colours", "mesh", "photos", "nmbg")},
 }
 

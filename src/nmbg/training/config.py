@@ -174,7 +174,13 @@ def without_perceptual(stage: Stage) -> Stage:
 
 def _rung(name: str, model: ModelConfig) -> TrainConfig:
     return TrainConfig(
-        name, model, _ladder_stages, start="mean", perceptual=VGG_TO_RELU3, hide_points=HIDDEN_POINTS
+        name,
+        model,
+        _ladder_stages,
+        start="mean",
+        perceptual=VGG_TO_RELU3,
+        hide_points=HIDDEN_POINTS,
+        exposure=True,
     )
 
 
