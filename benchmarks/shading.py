@@ -34,10 +34,12 @@ def cases(scene: Scene, config: ModelConfig) -> dict[str, tuple[Any, Any, tuple[
     """Per kind of pixel: the op, its twin, its arguments but the coefficients, and their rows in view."""
     camera = scene.train[0].camera
     rays = camera.rays()
-    seen = rasterize_layer(scene.mesh, camera, replace(config, points=False, widths=config.widths[:1]))
+    radius = config.radius_px(camera.width, camera.height)
+    finest = replace(config, widths=config.widths[:1])
+    seen = rasterize_layer(scene.mesh, camera, replace(finest, points=False), radius)
     hit = seen.levels[0]
     faces = (shade_faces, reference.shade_faces, (hit.face, hit.bary, seen.faces, rays), _rows(seen))
-    seen = rasterize_layer(scene.mesh, camera, replace(config, faces=False, widths=config.widths[:1]))
+    seen = rasterize_layer(scene.mesh, camera, replace(finest, faces=False), radius)
     hit = seen.levels[0]
     points = (shade_points, reference.shade_points, (hit.index, hit.weight, rays), _rows(seen))
     return {"faces": faces, "points": points}  # type: ignore[dict-item]

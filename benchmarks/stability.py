@@ -23,15 +23,13 @@ from record import command, provenance, write
 from stress import STRESSES, Stress, Stressed
 from stress.curves import draw, pictures, table
 from stress.rendering import RENDERINGS, away, flicker, measure, soak
-from sweep import Job, Sweep, trained_for
+from sweep import STEPS, Job, Sweep, trained_in_steps
 
 from nmbg.atomic import atomic_file
 from nmbg.scene import Scene
 from nmbg.training.checkpoint import load_run
 
 SHOWN = ("mesh", "photos", "npbg", "paper", "nmbg")
-# Steps of about one minute, reading the scene and fitting it included; of mesh ten passes over the fox.
-ITERATIONS = {"mesh": 430, "npbg": 220, "paper": 135, "nmbg": 800}
 SEEDS = 3
 GROUPS = ("views", "geometry", "cameras", "photographs", "model", "rendering", "seeds")
 
@@ -93,7 +91,7 @@ def main(
     rendered: dict[str, Any] = {}
     if "rendering" in chosen:
         for name in names:
-            job = Job(scene, settings(name, quick))
+            job = Job(scene, trained_in_steps(name, quick=quick))
             if run(job) is None:
                 continue
             renderer = load_run(sweep.folder(job)).renderer
@@ -110,12 +108,12 @@ def main(
     if "seeds" in chosen:
         for name in names:
             for seed in range(1 if quick else SEEDS):
-                if (record := run(Job(scene, settings(name, quick, seed)))) is not None:
+                if (record := run(Job(scene, trained_in_steps(name, seed, quick)))) is not None:
                     spreads.setdefault(name, []).append(record["figures"]["psnr"])
     results = {
         "command": command(),
         "scene": scene.name,
-        "iterations": ITERATIONS,
+        "iterations": STEPS,
         **provenance(),
         "curves": curves,
         "rendered": rendered,
@@ -135,15 +133,9 @@ def severities(stress: Stress, quick: bool) -> tuple[float, ...]:
     return (stress.severities[0], middle) if quick else stress.severities
 
 
-def settings(preset: str, quick: bool, seed: int = 0) -> Any:
-    """A preset with its steps."""
-    steps = ITERATIONS.get(preset)
-    return trained_for(preset, None, seed, iterations=steps // 4 if quick and steps else steps)
-
-
 def job_for(scene: Path, preset: str, stress: Stress, severity: float, quick: bool) -> Job:
     """A run of a stress; all stresses share the one without."""
-    config = settings(preset, quick)
+    config = trained_in_steps(preset, quick=quick)
     if severity == stress.severities[0]:
         return Job(scene, config)
     if stress.config is not None:

@@ -12,6 +12,7 @@ minute a run and one epoch; the full form 50 minutes on two cores.
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import subprocess
@@ -108,7 +109,17 @@ def _counted(
     found = latest_checkpoint(run)
     assert found is not None
     progress = load_progress(found)
-    record = {"processes": processes, "seed": seed, "steps": progress.step, "seconds": progress.seconds}
+    with (run / "log.csv").open(newline="") as file:
+        first, *_, last = csv.DictReader(file)
+    # Without what comes before the first step.
+    seconds, share = (float(last[name]) - float(first[name]) for name in ("seconds", "progress"))
+    record = {
+        "processes": processes,
+        "seed": seed,
+        "steps": progress.step,
+        "seconds": progress.seconds,
+        "epoch": seconds / (share * epochs),
+    }
     record["scenes"] = {
         scene.name: evaluate(run / SCENES / scene.name, METRICS, lpips_net="squeeze", weights=weights).mean
         for scene in scenes
@@ -137,15 +148,13 @@ def _table(results: dict[str, Any]) -> str:
     ]
     names = list(results["processes"][0]["scenes"])
     lines += [
-        f"| processes | seed | steps of each | seconds an epoch | {' | '.join(names)} |",
-        "|---|---|---|---|" + "---|" * len(names),
+        f"| processes | seed | steps of each | seconds an epoch | in all | {' | '.join(names)} |",
+        "|---|---|---|---|---|" + "---|" * len(names),
     ]
     for record in results["processes"]:
         cells = " | ".join(cell(record["scenes"][name]) for name in names)
-        epoch = record["seconds"] / results["epochs"]
-        lines.append(
-            f"| {record['processes']} | {record['seed']} | {record['steps']} | {epoch:.1f} | {cells} |"
-        )
+        run = f"{record['processes']} | {record['seed']} | {record['steps']}"
+        lines.append(f"| {run} | {record['epoch']:.1f} | {record['seconds']:.0f} | {cells} |")
     return "\n".join(lines) + "\n"
 
 

@@ -89,7 +89,9 @@ ZOOM = click.FloatRange(min=0, min_open=True)
     "--window", type=click.FloatRange(min=0, max=1, min_open=True), help="Training windows' share of a side."
 )
 @click.option(
-    "--validation-views", type=click.IntRange(min=0), help="Training views kept aside for progress figures."
+    "--validation-views",
+    type=click.IntRange(min=0),
+    help="Training views kept aside for progress figures.  [default: 0]",
 )
 @click.option(
     "--exposure/--no-exposure",

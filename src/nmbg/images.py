@@ -82,19 +82,34 @@ def resize(image: Image, width: int, height: int) -> Image:
     """Resample [H, W, C] with a Lanczos filter that widens with the reduction; image borders stay borders."""
     if image.shape[:2] == (height, width):
         return image
-    upright = _lanczos(torch.from_numpy(image).float(), height)
-    out = _lanczos(upright.transpose(0, 1), width).transpose(0, 1)
+    upright = _lanczos(torch.from_numpy(image).float(), 0.0, image.shape[0] / height, height)
+    out = _lanczos(upright.transpose(0, 1), 0.0, image.shape[1] / width, width).transpose(0, 1)
     resized: Image = out.round().clamp(0, 255).byte().contiguous().numpy()
     return resized
 
 
-def _lanczos(rows: Tensor, n: int) -> Tensor:
+def resample(image: Tensor, left: float, top: float, step: float, width: int, height: int) -> Tensor:
+    """A part of an image, resampled by the same filter.
+
+    Args:
+        image: [C, H, W] float32.
+        left, top: its corner, pixels of the image.
+        step: pixels of the image to one of the window's.
+        width, height: of the window, pixels.
+
+    Returns:
+        [C, height, width] float32.
+    """
+    upright = _lanczos(image.permute(1, 2, 0), top, step, height)
+    return _lanczos(upright.transpose(0, 1), left, step, width).permute(2, 1, 0)
+
+
+def _lanczos(rows: Tensor, start: float, step: float, n: int) -> Tensor:
     """Resample [N, M, C] along the first axis to [n, M, C]: matrix products over the band of weights."""
     flat = rows.flatten(1)
-    step = len(rows) / n
     wider = max(1.0, step)
     out = []
-    for block in torch.split((torch.arange(n, dtype=torch.float64) + 0.5) * step, BLOCK):
+    for block in torch.split((torch.arange(n, dtype=torch.float64) + 0.5) * step + start, BLOCK):
         first = max(0, int(block[0] - LOBES * wider))
         end = min(len(rows), int(block[-1] + LOBES * wider) + 1)
         x = (torch.arange(first, end) + 0.5 - block[:, None]) / wider

@@ -38,7 +38,7 @@ def test_pyramid_equals_every_level_shaded_alone(bumpy: Mesh, camera: Camera) ->
     descriptors = randomised(Renderer(config, [bumpy])).descriptors[0]
     (fragments,) = Renderer(config, [bumpy]).rasterize(camera)
     padded, vertices = camera.padded(4), torch.from_numpy(bumpy.vertices)
-    radius = 0.006 * padded.height / 2
+    radius = 0.006 * camera.height / 2
     assert (padded.width, padded.height) == (44, 32)
     coeffs = descriptors.coeffs.view(-1, 4, 4)
     for k, image in enumerate(descriptors.pyramid(fragments, 3, slice(None))):

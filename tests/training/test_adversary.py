@@ -49,6 +49,17 @@ def test_it_learns_to_tell_renders_from_photographs(adversary: Adversary) -> Non
     assert adversary.term(torch.full((1, 3, 64, 64), 0.8), generator()) < 0.2
 
 
+def test_a_render_that_is_not_finite_teaches_nothing(adversary: Adversary) -> None:
+    before = [p.detach().clone() for p in adversary.discriminator.parameters()]
+    adversary.learn(torch.full((1, 3, 40, 60), torch.nan), torch.rand(1, 3, 40, 60), generator())
+    for parameter, old in zip(adversary.discriminator.parameters(), before, strict=True):
+        assert torch.equal(parameter, old)
+    adversary.learn(torch.rand(1, 3, 40, 60), torch.rand(1, 3, 40, 60), generator())
+    assert any(
+        not torch.equal(p, old) for p, old in zip(adversary.discriminator.parameters(), before, strict=True)
+    )
+
+
 def test_state_continues_to_the_bit(adversary: Adversary, tmp_path: Path) -> None:
     def step(a: Adversary, seed: int) -> float:
         torch.manual_seed(seed)

@@ -258,6 +258,19 @@ def test_two_processes_train_together_and_one_goes_on(scenes: list[Path], tmp_pa
     assert checkpoint.load_progress(found).step == 4 * sum(views)
 
 
+def test_one_process_is_followed_by_two(scenes: list[Path], tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    config = replace(SMALL, iterations=None, epochs=3)
+    with interrupted_at(4), pytest.raises(KeyboardInterrupt):
+        train_together(scenes, config, run)
+    result = torchrun("--resume", "--output", run)
+    assert result.returncode == 0, result.stderr
+    found = checkpoint.latest_checkpoint(run)
+    assert found is not None
+    views = [len(Scene.load(scene).train) - 1 for scene in scenes]
+    assert checkpoint.load_progress(found).step == 3 * max(views)
+
+
 def test_two_processes_give_the_same_bits_again(scenes: list[Path], tmp_path: Path) -> None:
     for name in ("a", "b"):
         result = torchrun(*scenes, *OPTIONS, "--iterations", 6, "--output", tmp_path / name)
@@ -347,6 +360,18 @@ def test_a_second_layer_only_where_a_scene_has_one(scenes: list[Path], tmp_path:
     assert with_layers(SMALL, [one], None).model.layers == 1
     begun = train(two, replace(SMALL, iterations=0), tmp_path / "run")
     assert with_layers(SMALL, [one], begun).model.layers == 2
+
+
+def test_scenes_of_one_layer_and_of_two_share_a_network(
+    scenes: list[Path], shared_workspace: Path, tmp_path: Path
+) -> None:
+    flat = tmp_path / "flat"
+    preprocess(shared_workspace, flat, PreprocessOptions(test_every=4, max_size=40, layers="1"))
+    run = train_together([scenes[0], flat], SMALL, tmp_path / "run")
+    for folder in (scenes[0], flat):
+        one = checkpoint.load_run(run / "scenes" / folder.name)
+        assert one.config.model.layers == 2
+        assert one.renderer.render(Scene.load(folder).test[0].camera).isfinite().all()
 
 
 def test_photographs_that_are_kept_ready_count_as_held(scene_folder: Path, tmp_path: Path) -> None:

@@ -1,6 +1,9 @@
 import csv
 import shutil
 import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,9 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from click.testing import CliRunner
 from torch import Tensor
 
 from nmbg.cameras import Camera
+from nmbg.cli import main
 from nmbg.errors import NmbgError
 from nmbg.evaluation.evaluate import evaluate
 from nmbg.images import Image, write_image
@@ -86,6 +91,58 @@ def test_resumed_equals_uninterrupted(
     assert whole.keys() == resumed.keys()
     for key, tensor in whole.items():
         assert torch.equal(tensor, resumed[key]), key
+
+
+@pytest.mark.parametrize("preset", ["nmbg", "split"])
+def test_a_killed_run_goes_on_as_if_nothing_had_been(scene_folder: Path, tmp_path: Path, preset: str) -> None:
+    """SIGKILL at whatever step it is; a checkpoint is written at every one."""
+    words = ["--preset", preset, "--iterations", "40", "--refine", "none", "--no-bf16", "--threads", "1"]
+    words += ["--perceptual", "none"] if preset == "split" else []
+    command = (
+        "import sys; from nmbg.training import loop; loop.SAVE_EVERY = 0; from nmbg.cli import main; main()"
+    )
+    killed, whole = tmp_path / "killed", tmp_path / "whole"
+    start = [sys.executable, "-c", command, "train", str(scene_folder), *words, "--output"]
+    process = subprocess.Popen([*start, str(killed)])
+    while process.poll() is None:
+        found = checkpoint.latest_checkpoint(killed) if killed.exists() else None
+        if found is not None and int(found.name) >= 5:
+            process.kill()
+            break
+        time.sleep(0.01)
+    assert process.wait() == -signal.SIGKILL
+    found = checkpoint.latest_checkpoint(killed)
+    assert found is not None
+    assert int(found.name) < 40
+    again = [sys.executable, "-m", "nmbg", "train", "--resume", "--threads", "1", "--output", str(killed)]
+    subprocess.run(again, check=True)
+    subprocess.run([*start, str(whole)], check=True)
+    one, other = state(killed), state(whole)
+    assert one.keys() == other.keys()
+    for name, tensor in other.items():
+        assert torch.equal(one[name], tensor), name
+
+
+@pytest.mark.parametrize(
+    "words", [["--seed", "1"], ["--preset", "mesh"], ["--iterations", "9"], ["--no-bf16"]]
+)
+def test_a_resumed_run_refuses_other_options(scene_folder: Path, tmp_path: Path, words: list[str]) -> None:
+    run = train(Scene.load(scene_folder), SMALL["photos"], tmp_path / "run")
+    refused = CliRunner().invoke(main, ["train", "--resume", "--output", str(run), *words])
+    assert refused.exit_code == 2
+    assert words[0].replace("no-", "") in refused.stderr
+    assert "keeps its own options" in refused.stderr
+
+
+def test_the_log_tells_the_share_of_the_adversarial_loss(scene_folder: Path, tmp_path: Path) -> None:
+    run = train(Scene.load(scene_folder), SMALL["adversarial"], tmp_path / "run")
+    with (run / "log.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    told = [row for row in rows if row["adversarial"]]
+    assert told
+    for row in told:
+        assert 0 < float(row["adversarial_share"]) <= 1.001
+    assert "artificial ones" in (run / "cameras.svg").read_text()
 
 
 def test_same_seed_same_run_and_another_seed_another(scene_folder: Path, tmp_path: Path) -> None:

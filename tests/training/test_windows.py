@@ -2,7 +2,8 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -10,11 +11,14 @@ import torch
 from torch import Tensor
 
 from nmbg.errors import NmbgError
+from nmbg.images import resize, write_image
 from nmbg.preprocess import PreprocessOptions, preprocess
 from nmbg.scene import Scene
 from nmbg.training.adversary import Adversary
 from nmbg.training.config import BESIDE_L1, PRESETS, without_perceptual
+from nmbg.training.loop import _lambda
 from nmbg.training.member import Member, begin
+from nmbg.training.targets import PerceptualTerm
 from nmbg.training.trainer import train
 from nmbg.training.views import Views
 
@@ -27,11 +31,10 @@ def test_least_zoom_of_the_paper_shows_the_whole_frame(scene_folder: Path) -> No
     window = views.window(0, 0.5, (0.5, 0.5), torch.Generator().manual_seed(0))
     whole = scene.train[0].camera
     np.testing.assert_allclose(window.camera.K, whole.resized(32, 24).K)
-    # Two by two pixels each, half of them at either side of the window's pixel centre.
-    image = torch.from_numpy(scene.load_image(scene.train[0])).permute(2, 0, 1).float()
-    means = torch.nn.functional.avg_pool2d(image, 2).round()
+    # Reduced as preprocess reduces photographs.
+    image = torch.from_numpy(resize(scene.load_image(scene.train[0]), 32, 24)).permute(2, 0, 1)
     assert window.image is not None
-    assert (window.image.float() - means).abs().max() <= 1
+    assert torch.equal(window.image, image)
 
 
 @pytest.mark.parametrize("zoom", [(0.4, 1.0), (1.0, 0.5), (float("nan"), 1.0)])
@@ -52,8 +55,6 @@ def test_windows_too_small_for_the_network_are_refused_before_any_work(
 @pytest.fixture(scope="module")
 def masked(shared_workspace: Path, tmp_path_factory: pytest.TempPathFactory) -> Scene:
     """A scene whose masks keep the left three quarters of each photograph."""
-    from nmbg.images import write_image
-
     home = tmp_path_factory.mktemp("masked")
     mask = np.zeros((48, 64, 3), np.uint8)
     mask[:, :48] = 255
@@ -102,7 +103,11 @@ def test_an_artificial_view_of_masked_photographs_counts_where_geometry_is(
 def test_without_l_rec_colours_are_compared() -> None:
     (paper,) = PRESETS["paper"].stages
     alone = without_perceptual(paper)
-    assert (alone.l1, alone.perceptual, alone.adversarial) == (1.0, 0.0, BESIDE_L1)
+    assert (alone.l1, alone.perceptual, alone.adversarial) == (1.0, 0.0, 1.0)
     first, second = PRESETS["adversarial"].stages
     assert without_perceptual(first) is first
-    assert without_perceptual(second).adversarial == first.adversarial
+    # L_GAN is scaled by what it stands beside.
+    assert _lambda(alone, None) == _lambda(first, None) == BESIDE_L1
+    term = cast(PerceptualTerm, SimpleNamespace(loss=SimpleNamespace(scale=0.03)))
+    assert _lambda(second, term) == 0.03
+    assert _lambda(first, term) == BESIDE_L1

@@ -85,6 +85,8 @@ def evaluate(
 def _shows(run: Run, scene: Scene, split: Split) -> Callable[[View], Tensor]:
     """How views are rendered: without their own photograph; under a network, no colour was fitted to it."""
     renderer = run.renderer
+    if split == "train" and run.config.exposure:
+        return lambda view: renderer.render(view.camera)  # exposed as it was trained
     if split == "test" or not can_leave_out(run.config):
         return lambda view: renderer.render(view.camera, without={view.name})
     left_out = LeftOut(renderer, refit_left_out(renderer, scene))

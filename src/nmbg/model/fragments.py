@@ -84,13 +84,16 @@ class LayerFragments:
         return replace(self, levels=[thinned(level) for level in self.levels])
 
 
-def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig, once: bool = False) -> LayerFragments:
+def rasterize_layer(
+    mesh: Mesh, camera: Camera, config: ModelConfig, radius: float, once: bool = False
+) -> LayerFragments:
     """Rasterize one layer for the pyramid of a camera.
 
     Args:
         mesh: the layer's geometry.
         camera: the view; 2^(levels − 1) divides its size.
         config: what to rasterize, and how.
+        radius: of points, pixels.
         once: for fragments that are shaded once; those that are kept are rid of what no level shows.
     """
     faces = torch.from_numpy(mesh.faces)
@@ -98,7 +101,6 @@ def rasterize_layer(mesh: Mesh, camera: Camera, config: ModelConfig, once: bool 
     views = [camera.level(k) for k in range(config.rasterized_levels)]
     levels = [LevelFragments(view) for view in views]
     if config.points:
-        radius = config.radius_px(camera.width, camera.height)
         h = camera.project(vertices)
         points = rasterize_points_pyramid(h, radius, camera.height, camera.width, len(views))
         for k, (index, dist2) in enumerate(points):

@@ -90,7 +90,8 @@ class Renderer(nn.Module):
 
     def rasterize(self, camera: Camera, once: bool = False) -> list[LayerFragments]:
         """What `camera` sees of each layer, padded; `once` where it is not kept."""
-        return [rasterize_layer(mesh, self.padded(camera), self.config, once) for mesh in self.layers]
+        radius = self.config.radius_px(camera.width, camera.height)
+        return [rasterize_layer(mesh, self.padded(camera), self.config, radius, once) for mesh in self.layers]
 
     def colour(self, fragments: list[LayerFragments], camera: Camera) -> Tensor:
         """The colour on the mesh without the network, [3, H, W]; the foreground hides the background."""

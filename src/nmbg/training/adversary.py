@@ -38,7 +38,7 @@ class Adversary:
         return F.binary_cross_entropy_with_logits(logits, torch.ones_like(logits))
 
     def learn(self, render: Tensor, photograph: Tensor, generator: torch.Generator) -> Tensor:
-        """One step of the discriminator; its loss.
+        """One step of the discriminator, unless its gradients are not finite; its loss.
 
         Args:
             render: [1, 3, H, W]; taken as it is, no gradient goes back into it.
@@ -50,7 +50,10 @@ class Adversary:
         logits = self.judge(torch.cat(both))
         loss = 2 * F.binary_cross_entropy_with_logits(logits, logits.new_tensor([1.0, 0.0]))
         loss.backward()  # type: ignore[no-untyped-call]
-        self.optimiser.step()
+        # Averaged over the processes: all of them step, or none.
+        grads = [p.grad for p in self.discriminator.parameters() if p.grad is not None]
+        if all(bool(torch.isfinite(grad.sum())) for grad in grads):
+            self.optimiser.step()
         return loss.detach()
 
     def _square(self, image: Tensor, generator: torch.Generator) -> Tensor:

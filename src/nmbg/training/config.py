@@ -24,8 +24,8 @@ class Stage:
         network: train the whole model; otherwise only the colour on the mesh.
         perceptual: weight of L_rec (paper, equation 4), 0 to leave the feature network out.
         l1: weight of the mean absolute colour difference.
-        adversarial: weight λ of L_GAN (paper, equation 6), 0 to leave the discriminator out; beside L_rec it
-            is scaled as L_rec is (`Perceptual.scale`).
+        adversarial: weight λ of L_GAN (paper, equation 6), 0 to leave the discriminator out; it is scaled as
+            L_rec is (`Perceptual.scale`), or by BESIDE_L1 where there is none.
         descriptor_rate: learning rate of the descriptors at the stage's start.
         network_rate: learning rate of the network at the stage's start.
         decay: linear decay to zero at the stage's end; otherwise constant.
@@ -67,7 +67,7 @@ class TrainConfig:
             them fit only what single views show; or None.
         artificial_views: share of the steps that look at views without a photograph, for L_GAN alone, in
             [0, 1).
-        validation_views: training views kept aside for progress figures.
+        validation_views: training views kept aside for progress figures; they are missed where there are few.
         exposure: learn what photographs show but for their exposures, which are fitted in closed form; a new
             view is exposed as those around it were. What blends photographs does so by itself.
         inspect: leave out training views that cannot be right (`nmbg.training.inspection`).
@@ -98,7 +98,7 @@ class TrainConfig:
     minutes: float | None = None
     passes: int | None = None
     artificial_views: float = 0.0
-    validation_views: int = 2
+    validation_views: int = 0
     exposure: bool = False
     inspect: bool = True
     refine: Refine = "none"
@@ -169,7 +169,7 @@ def without_perceptual(stage: Stage) -> Stage:
     """A stage that compares colours alone where it had L_rec."""
     if not stage.perceptual:
         return stage
-    return replace(stage, perceptual=0.0, l1=1.0, adversarial=BESIDE_L1 * stage.adversarial)
+    return replace(stage, perceptual=0.0, l1=1.0)
 
 
 def _rung(name: str, model: ModelConfig) -> TrainConfig:
@@ -209,9 +209,7 @@ PRESETS: dict[str, TrainConfig] = {
         _rung("split", _split),
         replace(
             _rung("adversarial", _split),
-            stages=tuple(
-                replace(stage, adversarial=1.0 if stage.perceptual else BESIDE_L1) for stage in _ladder_stages
-            ),
+            stages=tuple(replace(stage, adversarial=1.0) for stage in _ladder_stages),
             artificial_views=ARTIFICIAL_VIEWS,
         ),
         TrainConfig(

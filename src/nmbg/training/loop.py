@@ -24,7 +24,7 @@ from nmbg.training import processes
 from nmbg.training.adversary import Adversary
 from nmbg.training.budget import Budget, Clock
 from nmbg.training.checkpoint import Progress
-from nmbg.training.config import Stage, TrainConfig
+from nmbg.training.config import BESIDE_L1, Stage, TrainConfig
 from nmbg.training.log import COLUMNS, Log
 from nmbg.training.member import Member
 from nmbg.training.optimiser import Part, descend, differentiate, network_part
@@ -299,8 +299,7 @@ def _photograph(attempt: Attempt) -> Tensor:
     """What the discriminator takes for true beside a render: its photograph, or some one's, [1, 3, H, W]."""
     image, mask, member = attempt.example.image, attempt.example.mask, attempt.member
     if image is None:
-        i = int(torch.randint(len(member.training), (), generator=attempt.random))
-        image, mask = member.training.photograph(i)
+        image, mask = member.photograph(attempt.random)
     image = image.to(member.config.device) / 255
     return (image if mask is None else image * mask.to(image.device))[None]
 
@@ -351,9 +350,9 @@ def losses(
 
 
 def _lambda(stage: Stage, perceptual: PerceptualTerm | None) -> float:
-    """Weight of L_GAN: beside L_rec, in units of its size."""
+    """Weight of L_GAN, in units of the size of what it stands beside."""
     beside = perceptual if stage.perceptual else None
-    return stage.adversarial * (1.0 if beside is None else beside.loss.scale)
+    return stage.adversarial * (BESIDE_L1 if beside is None else beside.loss.scale)
 
 
 @torch.no_grad()

@@ -112,6 +112,13 @@ class Member:
         share = self.config.hide_points * float(torch.rand((), generator=generator))
         return replace(example, sight=[layer.without_points(share, generator) for layer in example.sight])
 
+    def photograph(self, generator: torch.Generator) -> tuple[Tensor, Tensor | None]:
+        """Some training photograph, [3, H, W] uint8, as large a part of it as a step sees, and its mask."""
+        config, i = self.config, int(torch.randint(len(self.training), (), generator=generator))
+        if config.whole_frames:
+            return self.training.photograph(i)
+        return self.training.cut(i, config.window, config.zoom, generator)[1:]
+
     def _example(self, view: int | None, generator: torch.Generator) -> Example:
         config = self.config
         if view is None:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from nmbg.cameras import Camera
+from nmbg.images import resample
 from nmbg.model.exposure import Exposure, Exposures
 from nmbg.model.photographs import Gathered
 from nmbg.model.renderer import Prepared
@@ -130,7 +131,7 @@ class Views:
         )
 
     def window(self, i: int, share: float, zoom: tuple[float, float], generator: torch.Generator) -> Example:
-        """A random window of view i, zoomed by a random factor, resampled bilinearly.
+        """A random window of view i, zoomed by a random factor.
 
         The camera moves with the window exactly, so photograph and geometry stay aligned to the pixel.
 
@@ -140,14 +141,20 @@ class Views:
             zoom: least and largest size of the image that it is cut from, beside the photograph's.
             generator: source of the random numbers.
         """
+        return self._example(self.views[i], *self.cut(i, share, zoom, generator))
+
+    def cut(
+        self, i: int, share: float, zoom: tuple[float, float], generator: torch.Generator
+    ) -> tuple[Camera, Tensor, Tensor | None]:
+        """Camera, photograph [3, H, W] uint8 and mask [H, W] bool of such a window."""
         view = self.views[i]
         moved, x0, y0, scale = random_window(view.camera, share, zoom, generator)
-        width, height = moved.width, moved.height
+        part = (x0, y0, 1 / scale, moved.width, moved.height)
         image, mask = self._load(view)
-        image = _resample(image.float(), x0, y0, scale, width, height).round().to(torch.uint8)
+        image = resample(image.float(), *part).round().clamp(0, 255).to(torch.uint8)
         if mask is not None:
-            mask = _resample(mask[None].float(), x0, y0, scale, width, height)[0] > 0.5
-        return self._example(view, moved, image, mask)
+            mask = resample(mask[None].float(), *part)[0] > 0.5
+        return moved, image, mask
 
     def _load(self, view: View) -> tuple[Tensor, Tensor | None]:
         image = torch.from_numpy(self.scene.load_image(view)).permute(2, 0, 1).contiguous()
@@ -184,15 +191,3 @@ def random_window(
     y0 = fy * (camera.height - height / scale)
     moved = camera.cropped(x0, y0, camera.width, camera.height).scaled(scale, scale, width, height)
     return moved, x0, y0, scale
-
-
-def _resample(image: Tensor, x0: float, y0: float, scale: float, width: int, height: int) -> Tensor:
-    """Bilinear window of [C, H, W]: output pixel centre p shows (p / scale + corner)."""
-    _, h, w = image.shape
-    x = (torch.arange(width) + 0.5) / scale + x0
-    y = (torch.arange(height) + 0.5) / scale + y0
-    grid = torch.stack(torch.meshgrid(2 * x / w - 1, 2 * y / h - 1, indexing="xy"), dim=-1)
-    out = torch.nn.functional.grid_sample(
-        image[None], grid[None].to(image.dtype), padding_mode="border", align_corners=False
-    )
-    return out[0]
