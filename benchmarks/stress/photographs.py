@@ -77,8 +77,8 @@ def with_wrong_images(scene: Scene, severity: float, random: Random) -> Scene:
 
 
 PHOTOGRAPHS = (
-    Stress("exposure", "photographs", "stops", (0, 0.25, 1, 2), image=with_exposure),
-    Stress("white balance", "photographs", "stops", (0, 0.25, 0.5, 1), image=with_white_balance),
+    Stress("exposure", "photographs", "stops", (0, 0.25, 1, 2), image=with_exposure, drifts=True),
+    Stress("white balance", "photographs", "stops", (0, 0.25, 0.5, 1), image=with_white_balance, drifts=True),
     Stress("noise", "photographs", "deviation, of 255", (0, 8, 25, 75), image=with_noise),
     Stress(
         "blur", "photographs", "deviation, share of the longer side", (0, 0.002, 0.006, 0.02), image=with_blur

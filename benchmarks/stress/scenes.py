@@ -29,7 +29,7 @@ def every_view(scene: Scene) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Stress:
-    """One way in which things get worse; held-out views stay as they are.
+    """One way in which things get worse; held-out views stay as they are, unless those around them tell.
 
     Args:
         name: in tables and on the command line.
@@ -38,6 +38,7 @@ class Stress:
         severities: from none to hopeless; the first changes nothing.
         scene: scene, severity → scene.
         image: photograph, severity, place in the capture in [0, 1) → photograph of a training view.
+        drifts: held-out photographs change alike, as photographs around them tell.
         config: training settings, severity → settings.
         presets: that it means something for; None for all.
         judged: scene → names of the held-out views that are judged.
@@ -49,6 +50,7 @@ class Stress:
     severities: tuple[float, ...]
     scene: Callable[[Scene, float, Random], Scene] = unchanged
     image: Callable[[Image, float, float, Random], Image] | None = None
+    drifts: bool = False
     config: Callable[[TrainConfig, float], TrainConfig] | None = None
     presets: tuple[str, ...] | None = None
     judged: Callable[[Scene], tuple[str, ...]] = every_view
@@ -82,13 +84,17 @@ class Stressed:
         return self.stress.scene(scene, self.severity, self.random())
 
     def photograph(self, scene: Scene, view: View) -> Image:
-        """The photograph of one of the scene's views, [H, W, 3] uint8; a training view's is worse."""
+        """The photograph of one of the scene's views, [H, W, 3] uint8; worse, where it changes."""
         image = scene.load_image(view)
-        if self.stress.image is None or view.split == "test":
+        if self.stress.image is None or not self._changes(view):
             return image
         random = np.random.default_rng([self.seed, zlib.crc32(view.name.encode())])
         place = scene.views.index(view) / len(scene.views)
         return self.stress.image(image, self.severity, place, random)
+
+    def _changes(self, view: View) -> bool:
+        """Whether a view's photograph is another one."""
+        return self.stress.image is not None and (view.split == "train" or self.stress.drifts)
 
     def write(self, scene: Scene, folder: Path) -> Scene:
         """Write the worse scene into an empty folder."""
@@ -98,11 +104,12 @@ class Stressed:
         for view in worse.views:
             if view.mask is not None:
                 shutil.copyfile(scene.folder / "masks" / view.mask, folder / "masks" / view.mask)
-            if self.stress.image is None or view.split == "test":
+            if not self._changes(view):
                 shutil.copyfile(scene.folder / "images" / view.image, folder / "images" / view.image)
         if self.stress.image is not None:
-            stored = {view.name: f"{Path(view.image).stem}.png" for view in worse.train}
-            for view in worse.train:
+            changed = [view for view in worse.views if self._changes(view)]
+            stored = {view.name: f"{Path(view.image).stem}.png" for view in changed}
+            for view in changed:
                 write_image(folder / "images" / stored[view.name], self.photograph(worse, view))
             views = tuple(replace(v, image=stored.get(v.name, v.image)) for v in worse.views)
             worse = replace(worse, views=views)

@@ -32,6 +32,14 @@ def test_an_exposure_is_found_among_pixels_that_show_something_else() -> None:
     torch.testing.assert_close(fitted.undo(fitted.apply(colour)), colour)
 
 
+@pytest.mark.parametrize("gain", [0.55, 0.75, 1.5])
+def test_a_drift_that_no_bright_pixel_survives_at_first(gain: float) -> None:
+    """Of a dark photograph only dark pixels look alike; the fit to these makes others look so."""
+    colour = 0.6 * image()
+    fitted = fit_exposure(gain * colour, colour, torch.ones(40, 50, dtype=torch.bool))
+    torch.testing.assert_close(fitted.apply(colour), gain * colour, atol=0.03, rtol=0)
+
+
 def test_pixels_that_do_not_count_do_not() -> None:
     colour, counted = image(), torch.ones(40, 50, dtype=torch.bool)
     photograph = GAIN * colour + OFFSET

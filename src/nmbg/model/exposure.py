@@ -18,6 +18,8 @@ from torch import Tensor
 
 # Pixels whose colour differs by more show something else than the mesh does.
 ALIKE = 0.1
+# How often it is asked which pixels look alike.
+PASSES = 4
 # Added to the variance of colours: what shows one colour alone says nothing about gains.
 RIDGE = 1e-3
 # A view is exposed as so many photographs around it.
@@ -81,15 +83,25 @@ class Exposures:
 def fit_exposure(image: Tensor, colour: Tensor, counted: Tensor) -> Exposure:
     """Least squares over the pixels that show alike colours; a photograph without any is taken as it is.
 
+    Which pixels do is asked anew of the colours as they were exposed: of a dark photograph only dark pixels
+    look alike at first.
+
     Args:
         image: [3, H, W] float32 photograph in [0, 1].
         colour: [3, H, W] float32 colour on the mesh.
         counted: [H, W] bool, pixels that count.
     """
-    alike = counted & ((image - colour).abs().amax(0) < ALIKE)
-    x, y = colour[:, alike].double(), image[:, alike].double()
-    if not x.shape[1]:
-        return UNCHANGED
+    found = UNCHANGED
+    for _ in range(PASSES):
+        alike = counted & ((found.undo(image) - colour).abs().amax(0) < ALIKE)
+        if not alike.any():
+            break
+        found = _fit(colour[:, alike].double(), image[:, alike].double())
+    return found
+
+
+def _fit(x: Tensor, y: Tensor) -> Exposure:
+    """Exposure that brings colours x nearest to y, both [3, N] float64."""
     mean_x, mean_y = x.mean(1, keepdim=True), y.mean(1, keepdim=True)
     variance = (x - mean_x).square().mean(1, keepdim=True)
     covariance = ((x - mean_x) * (y - mean_y)).mean(1, keepdim=True)
