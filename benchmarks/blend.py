@@ -2,30 +2,25 @@
 
 Example:
     nmbg train out/fox --output out/fox-photos --preset photos
-    python benchmarks/blend.py out/fox-photos --output out/blend.json
+    python benchmarks/blend.py out/fox-photos --output out/blend
 """
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
-os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")
 
 import click
 import numpy as np
 import torch
+from options import output_option
+from record import command, provenance, write
 from timing import timed
 
-from nmbg import __version__
-from nmbg.allocator import keep_freed_memory
-from nmbg.atomic import atomic_file
-from nmbg.evaluation.machine import machine
 from nmbg.ops import blend_photos, mip_chain, reference
 from nmbg.scene import Scene
 from nmbg.sight import look
@@ -35,12 +30,10 @@ SIZES = (480, 960, 1920)  # longer side, pixels
 CANDIDATES = (1, 7, 14, 28)
 REPEATS = 9
 
-keep_freed_memory()
-
 
 @click.command()
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--output", type=click.Path(path_type=Path), required=True, help="JSON file to write.")
+@output_option("JSON and table")
 def main(run: Path, output: Path) -> None:
     """Time the blending of RUN's photographs into its first held-out view."""
     loaded = load_run(run)
@@ -50,9 +43,8 @@ def main(run: Path, output: Path) -> None:
     scene, views = photographs.scene, photographs.views
     held_out = Scene.load(loaded.source).test[0].camera
     results: dict[str, Any] = {
-        "command": " ".join(["python", *sys.argv]),
-        "nmbg": __version__,
-        "machine": machine("cpu"),
+        "command": command(),
+        **provenance(),
         "kernel": [],
         "twin": [],
         "frames": [],
@@ -79,8 +71,7 @@ def main(run: Path, output: Path) -> None:
         if size < SIZES[-1]:
             frame = {"width": camera.width, "height": camera.height, "preset": loaded.config.preset}
             results["frames"].append({**frame, **timed(partial(loaded.renderer.render, camera), REPEATS)})
-    with atomic_file(output) as path:
-        path.write_text(json.dumps(results, indent=1) + "\n")
+    write(output, "blend", results, _table(results))
     click.echo(_table(results))
 
 
@@ -98,7 +89,7 @@ def _table(results: dict[str, Any]) -> str:
                 f"| {what} | {row['width']}×{row['height']} | {row.get('candidates', '')} "
                 f"| {row['ms']:.1f} ({row['low']:.1f}–{row['high']:.1f}) |"
             )
-    return "\n".join(lines)
+    return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":

@@ -6,9 +6,7 @@ Example:
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,14 +17,13 @@ import click
 import numpy as np
 import torch
 from options import output_option
+from record import command, provenance, write
 from torch import Tensor
 from warp import psnr, warped
 
-from nmbg import __version__
 from nmbg.atomic import atomic_file
 from nmbg.cameras import Camera
 from nmbg.evaluation.figures import Row, sheet
-from nmbg.evaluation.machine import machine
 from nmbg.images import write_image
 from nmbg.progress import progress_bar
 from nmbg.scene import Scene
@@ -55,9 +52,8 @@ def main(runs: tuple[Path, ...], frames: int, first: int, views: int, output: Pa
     path = smooth_path([view.camera for view in scene.train[first : first + views]], frames)
     depths = [look(scene.mesh, camera).depth for camera in path]
     results: dict[str, Any] = {
-        "command": " ".join(["python", *sys.argv]),
-        "nmbg": __version__,
-        "machine": machine("cpu"),
+        "command": command(),
+        **provenance(),
         "scene": scene.source,
         "views": [view.name for view in scene.train[first : first + views]],
         "frames": frames,
@@ -84,13 +80,22 @@ def main(runs: tuple[Path, ...], frames: int, first: int, views: int, output: Pa
     output.mkdir(parents=True, exist_ok=True)
     with atomic_file(output / "sheet.png") as picture:
         write_image(picture, sheet(rows, headings))
-    with atomic_file(output / "path.json") as file:
-        file.write_text(json.dumps(results, indent=1) + "\n")
+    write(output, "path", results, _table(results))
+    click.echo(_table(results))
+
+
+def _table(results: dict[str, Any]) -> str:
+    lines = [
+        f"{results['frames']} frames between training views of {results['scene']}: mean absolute difference "
+        "of neighbours, warped.",
+        "",
+        "| run | mean | largest | … times the median | PSNR, dB |",
+        "|---|---|---|---|---|",
+    ]
     for name, row in results["runs"].items():
-        click.echo(
-            f"{name}: mean step {row['mean']:.5f}, {row['psnr']:.2f} dB, largest {row['largest']:.5f} "
-            f"({row['largest_over_median']:.2f} times the median)"
-        )
+        figures = f"{row['mean']:.5f} | {row['largest']:.5f} | {row['largest_over_median']:.2f}"
+        lines.append(f"| {name} | {figures} | {row['psnr']:.2f} |")
+    return "\n".join(lines) + "\n"
 
 
 def smooth_path(cameras: list[Camera], frames: int) -> list[Camera]:

@@ -9,9 +9,12 @@ rays of each pixel, and the features. The first rows of the image are checked ag
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
 import torch

@@ -70,7 +70,7 @@ def main(
         return sweep.found(job)
 
     curves: dict[str, Any] = {}
-    for stress in (s for s in STRESSES.values() if s.group in chosen):
+    for stress in (s for s in STRESSES.values() if s.group in chosen and s.judged(sound, 0)):
         curve: dict[str, Any] = {}
         for severity in severities(stress, quick):
             for name in names:
@@ -78,7 +78,7 @@ def main(
                     continue
                 job = job_for(scene, name, stress, severity, quick)
                 if (record := run(job)) is not None:
-                    judged = [record["views"][view] for view in stress.judged(sound)]
+                    judged = [record["views"][view] for view in stress.judged(sound, severity)]
                     point = {
                         metric: sum(view[metric] for view in judged) / len(judged)
                         for metric in ("psnr", "ssim", "lpips_squeeze")
@@ -136,7 +136,7 @@ def severities(stress: Stress, quick: bool) -> tuple[float, ...]:
 def job_for(scene: Path, preset: str, stress: Stress, severity: float, quick: bool) -> Job:
     """A run of a stress; all stresses share the one without."""
     config = trained_in_steps(preset, quick=quick)
-    if severity == stress.severities[0]:
+    if severity == stress.severities[0] or not stress.trains:
         return Job(scene, config)
     if stress.config is not None:
         return Job(scene, stress.config(config, severity))

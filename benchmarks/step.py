@@ -11,11 +11,14 @@ into sixteen.
 from __future__ import annotations
 
 import itertools
+import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
 import numpy as np
@@ -67,7 +70,7 @@ class Steps:
         example = self.views.frame(self.number % len(self.views))
         generator = torch.Generator().manual_seed(self.number)
         with torch.autocast("cpu", torch.bfloat16, enabled=self.config.bf16):
-            image = loop.render(self.renderer, self.stage, example)[None]
+            image = loop.as_photographed(loop.render(self.renderer, self.stage, example)[None], example)
             loss = loop.losses(image, self.stage, self.perceptual, None, example, generator)["loss"]
         assert differentiate(loss, self.parts)
         descend(self.parts, 0.9)

@@ -22,7 +22,7 @@ def unchanged(scene: Scene, severity: float, random: Random) -> Scene:
     return scene
 
 
-def every_view(scene: Scene) -> tuple[str, ...]:
+def every_view(scene: Scene, severity: float) -> tuple[str, ...]:
     """Names of all held-out views."""
     return tuple(view.name for view in scene.test)
 
@@ -41,7 +41,8 @@ class Stress:
         drifts: held-out photographs change alike, as photographs around them tell.
         config: training settings, severity → settings.
         presets: that it means something for; None for all.
-        judged: scene → names of the held-out views that are judged.
+        judged: scene, severity → names of the held-out views that are judged; of a scene that the stress means
+            nothing for, none.
     """
 
     name: str
@@ -53,7 +54,12 @@ class Stress:
     drifts: bool = False
     config: Callable[[TrainConfig, float], TrainConfig] | None = None
     presets: tuple[str, ...] | None = None
-    judged: Callable[[Scene], tuple[str, ...]] = every_view
+    judged: Callable[[Scene, float], tuple[str, ...]] = every_view
+
+    @property
+    def trains(self) -> bool:
+        """Whether training is another one; else only other views are judged."""
+        return self.scene is not unchanged or self.image is not None or self.config is not None
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from nmbg.evaluation.published import DTU_PARTS
 from nmbg.scene import Scene, evenly
 from stress.scenes import Random, Stress
 
@@ -26,7 +27,15 @@ def without_block(scene: Scene, severity: float, random: Random) -> Scene:
     return replace(scene, views=views)
 
 
-def in_block(scene: Scene) -> tuple[str, ...]:
+def beyond_the_cameras(scene: Scene, severity: float) -> tuple[str, ...]:
+    """Views between the training cameras, or beyond them, where those that DTU's tables name were held out."""
+    held_out = {i for i, view in enumerate(scene.views) if view.split == "test"}
+    if held_out != {i for part in DTU_PARTS.values() for i in part}:
+        return ()
+    return tuple(scene.views[i].name for i in list(DTU_PARTS.values())[int(severity)])
+
+
+def in_block(scene: Scene, severity: float) -> tuple[str, ...]:
     """Held-out views in the middle of the capture."""
     middle = _middle(scene, JUDGED)
     return tuple(v.name for i, v in enumerate(scene.views) if v.split == "test" and i in middle)
@@ -41,4 +50,5 @@ VIEWS = (
     Stress("fewer views", "views", "training views divided by", (1, 2, 4, 8), thinned),
     Stress("block", "views", "share of the capture without views", (0, 0.25, 0.5, 0.75), without_block,
            judged=in_block),
+    Stress("beyond", "views", "0 between, 1 beyond the training cameras", (0, 1), judged=beyond_the_cameras),
 )  # fmt: skip

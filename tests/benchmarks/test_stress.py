@@ -1,8 +1,12 @@
 """Each stress does what it says, by degrees, the same for the same seed."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from stability import job_for
 from stress import STRESSES, Stressed
 from stress.geometry import parts
 
@@ -36,7 +40,9 @@ def test_nothing_changes_at_the_first_severity(scene, name):
     assert all(np.array_equal(none.photograph(scene, v), scene.load_image(v)) for v in scene.views)
 
 
-@pytest.mark.parametrize("name", [name for name in STRESSES if STRESSES[name].config is None])
+@pytest.mark.parametrize(
+    "name", [name for name, stress in STRESSES.items() if stress.trains and stress.config is None]
+)
 def test_every_severity_changes_training_and_leaves_held_out_views_alone(scene, name):
     stress, worst = STRESSES[name], STRESSES[name].severities[-1]
     for severity in stress.severities[1:]:
@@ -158,3 +164,18 @@ def test_a_stressed_scene_is_written_and_read_back(scene, tmp_path):
         worse = stressed.apply(scene)
         for view, kept in zip(worse.views, again.views, strict=True):
             assert np.array_equal(again.load_image(kept), stressed.photograph(worse, view))
+
+
+def test_views_beyond_the_cameras_are_those_that_the_tables_name(scene):
+    """Of 49 views, held out as DTU's are; of another split nothing is judged."""
+    stress = STRESSES["beyond"]
+    assert stress.judged(scene, 0) == ()
+    held_out = {0, 4, 13, 14, 15, 23, 24, 25, 38, 48}
+    views = tuple(
+        replace(scene.views[0], name=f"{i:02d}", split="test" if i in held_out else "train")
+        for i in range(49)
+    )
+    dtu = replace(scene, views=views)
+    assert stress.judged(dtu, 0) == ("13", "14", "15", "23", "24", "25")
+    assert stress.judged(dtu, 1) == ("00", "04", "38", "48")
+    assert job_for(Path("dtu"), "photos", stress, 1, quick=False).stressed is None
