@@ -41,8 +41,8 @@ class Stress:
         drifts: held-out photographs change alike, as photographs around them tell.
         config: training settings, severity → settings.
         presets: that it means something for; None for all.
-        judged: scene, severity → names of the held-out views that are judged; of a scene that the stress means
-            nothing for, none.
+        judged: scene, severity → names of the held-out views that are judged; none where the stress means
+            nothing for the scene.
     """
 
     name: str

@@ -28,7 +28,7 @@ def without_block(scene: Scene, severity: float, random: Random) -> Scene:
 
 
 def beyond_the_cameras(scene: Scene, severity: float) -> tuple[str, ...]:
-    """Views between the training cameras, or beyond them, where those that DTU's tables name were held out."""
+    """Views between the training cameras, or beyond them, where DTU's views were held out."""
     held_out = {i for i, view in enumerate(scene.views) if view.split == "test"}
     if held_out != {i for part in DTU_PARTS.values() for i in part}:
         return ()
