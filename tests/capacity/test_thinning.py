@@ -2,13 +2,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
+import torch
 import trimesh
 from scipy.spatial import cKDTree
 
+from nmbg.capacity.judge import Score
 from nmbg.capacity.plan import plan
-from nmbg.capacity.thinning import halved
-from nmbg.mesh import Mesh, merge
+from nmbg.capacity.thinning import OPENED, covered, halved, opened
+from nmbg.mesh import Mesh, drop_unused, merge
 from nmbg.scene import Scene
+from nmbg.sight import look
 from nmbg.training.config import PRESETS
 
 PHOTOS = replace(PRESETS["photos"], capacity="auto")
@@ -57,3 +61,35 @@ def test_faces_that_no_pixel_resolves_go(scene_folder: Path) -> None:
     assert len(planned.scene.mesh.faces) < 0.6 * len(fine.mesh.faces)
     (told,) = (choice for choice in planned.config.choices if choice.choice.startswith("faces:"))
     assert told.choice.startswith(f"faces: {len(planned.scene.mesh.faces)} of ")
+
+
+def without_window(scene: Scene) -> Scene:
+    """Without the faces that stand in the middle of what the first view sees."""
+    camera = scene.train[0].camera
+    h = camera.project(torch.from_numpy(scene.mesh.vertices[scene.mesh.faces].mean(1))).numpy()
+    x, y = (h[:, :2] / h[:, 2:]).T
+    inside = (abs(x - camera.width / 2) < 4) & (abs(y - camera.height / 2) < 4) & (h[:, 2] > 0)
+    return replace(scene, mesh=drop_unused(scene.mesh, ~inside))
+
+
+def test_only_the_surface_covers(scene_folder: Path) -> None:
+    scene = Scene.load(scene_folder)
+    assert scene.shell_faces
+    surface = np.arange(len(scene.mesh.faces)) < len(scene.mesh.faces) - scene.shell_faces
+    bare = drop_unused(scene.mesh, surface)
+    for view in scene.train:
+        assert torch.equal(covered(scene, view), look(bare, view.camera).covered)
+        assert not covered(scene, view).all()
+
+
+def test_halving_stops_where_it_opens_a_hole(scene_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However little it costs."""
+    scene = subdivided(Scene.load(scene_folder), 2)
+    assert opened(scene, halved(scene), scene.train) <= OPENED
+    assert opened(scene, without_window(scene), scene.train) > 0.01
+    monkeypatch.setattr("nmbg.capacity.plan.halved", without_window)
+    monkeypatch.setattr("nmbg.capacity.plan.THINNING_LIMIT", Score(100.0, 1.0))
+    planned = plan(scene, PHOTOS)
+    (told,) = (choice for choice in planned.config.choices if choice.choice.startswith("faces:"))
+    assert "opens" in told.reason
+    assert told.saves == "nothing"

@@ -16,7 +16,7 @@ from nmbg.capacity.judge import JUDGES, LIMIT, Judge, Score
 from nmbg.capacity.network import race
 from nmbg.capacity.photographs import choose_photographs
 from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, SUFFIX, Storage, store, stored_bytes
-from nmbg.capacity.thinning import THINNING_LIMIT, halved
+from nmbg.capacity.thinning import OPENED, THINNING_LIMIT, halved, opened
 from nmbg.capacity.vertices import drop_unseen
 from nmbg.errors import NmbgError
 from nmbg.images import can_write
@@ -119,6 +119,7 @@ class _Sizing:
         """Half of the faces, and half of these, as long as it costs no more than the limit; what is left."""
         before = len(self.scene.mesh.faces)
         best = score = self.judge.score(self._predicted(self.scene, kept))
+        whole = self.scene
         while True:
             fewer = halved(self.scene)
             if len(fewer.mesh.faces) == len(self.scene.mesh.faces):
@@ -127,6 +128,10 @@ class _Sizing:
             found = self.judge.score(self._predicted(fewer, kept))
             if not found.within(best, THINNING_LIMIT):
                 why = f"half of them costs {found.cost_beside(best)}"
+                break
+            hole = opened(whole, fewer, self.judge.views)
+            if hole > OPENED:
+                why = f"half of them opens {hole:.2%} of a view"
                 break
             self.scene, score = fewer, found
         after = len(self.scene.mesh.faces)
