@@ -4,14 +4,15 @@
 
 Whole frames of a few training views, all of them seen before: fragments and targets' features are kept, as
 they are in training. The parts of a step are read from torch's profiler; convolutions stand beside the
-convolution that the machine does best, in the same run. Then the same in bfloat16, and with every face cut
-into sixteen.
+convolution that the machine does best, in the same run. Then the same in bfloat16, with every face cut into
+sixteen, with four times the views, and with half the sides.
 """
 
 from __future__ import annotations
 
 import itertools
 import os
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,6 +26,7 @@ import numpy as np
 import torch
 import trimesh
 from record import command, provenance, write
+from smaller import smaller_scene
 from timing import quartiles
 from torch import nn
 from torch.profiler import ProfilerActivity, profile
@@ -145,7 +147,7 @@ def main(scene: Path, weights: Path | None, preset: str, output: Path, repeats: 
     Example: python benchmarks/step.py out/fox --weights weights
     """
     whole = Scene.load(scene)
-    few = replace(whole, views=tuple(whole.train[: VIEWS + 2]))
+    few = replace(whole, views=whole.train[:VIEWS])
     config = replace(PRESETS[preset], iterations=1000, minutes=None, refine="none")
     results: dict[str, Any] = {"command": command(), **provenance(), "preset": preset}
     results["convolution ceiling, GFLOP/s"] = convolution_ceiling()
@@ -153,11 +155,15 @@ def main(scene: Path, weights: Path | None, preset: str, output: Path, repeats: 
         "as it is": (few, config),
         "bfloat16": (few, replace(config, bf16=True)),
         "faces × 16": (replace(few, mesh=subdivided(few.mesh, 2)), config),
+        "views × 4": (replace(whole, views=whole.train[: 4 * VIEWS]), config),
     }
     results["cases"] = {}
-    for name, (of, setting) in cases.items():
-        results["cases"][name] = measure(Steps(of, setting, weights), repeats)
-        click.echo(f"{name}: {results['cases'][name]}")
+    with tempfile.TemporaryDirectory() as folder:
+        half = Scene.load(smaller_scene(scene, Path(folder), images=0.5))
+        cases["half the sides"] = replace(half, views=half.train[:VIEWS]), config
+        for name, (of, setting) in cases.items():
+            results["cases"][name] = measure(Steps(of, setting, weights), repeats)
+            click.echo(f"{name}: {results['cases'][name]}")
     write(output, "step", results, _table(results))
 
 
