@@ -69,6 +69,7 @@ class Variant:
 
 VARIANTS = {
     **{preset: Variant(preset) for preset in PRESETS},
+    "mesh-1-sample": Variant("mesh", {"supersample": 1}),
     "nmbg-narrow": Variant("nmbg", {"widths": (16, 32, 48, 64)}),
     "nmbg-wide": Variant("nmbg", {"widths": (32, 64, 96, 128)}),
     "nmbg-2-levels": Variant("nmbg", {"widths": (16, 48)}),

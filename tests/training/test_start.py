@@ -40,7 +40,7 @@ def test_fit_is_nearer_to_the_photographs_than_the_mean(scene_folder: Path) -> N
 def test_fit_recovers_harmonics(scene_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Photographs rendered from harmonics that all vertices share: the fit shows the same pictures."""
     scene = Scene.load(scene_folder)
-    model = replace(PRESETS["mesh"].model, degree=1)
+    model = replace(PRESETS["mesh"].model, degree=1, supersample=1)
     truth = Renderer(model, [scene.mesh])
     coeffs = torch.zeros(len(scene.mesh.vertices), 4, 3)
     coeffs[:, 0] = 0.5 / SH_CONSTANT
