@@ -21,7 +21,7 @@ from options import output_option, scenes_argument, weights_option
 from record import cell, command, provenance, write
 from sweep import TRAINING_VIEWS, Job, Sweep, spread, trained_for
 
-from nmbg.evaluation.published import DTU_PARTS
+from nmbg.evaluation.published import dtu_parts
 from nmbg.scene import Scene
 
 # Of DTU's views between the training cameras and beyond them.
@@ -63,7 +63,8 @@ def main(
     counts += counts[-1:] * (len(scenes) - len(counts))
     sweep = Sweep(output, weights)
     results: dict[str, Any] = {"command": command(), "minutes": minutes, **provenance(), "scenes": {}}
-    cameras = {scene.name: Scene.load(scene).views[0].camera for scene in scenes}
+    loaded = {scene.name: Scene.load(scene) for scene in scenes}
+    cameras = {name: scene.views[0].camera for name, scene in loaded.items()}
     results["sizes"] = {name: (camera.width, camera.height) for name, camera in cameras.items()}
     runs = [
         (scene, rung, seed)
@@ -78,19 +79,16 @@ def main(
     ]
     for (scene, rung, _), record in zip(runs, sweep.measure(jobs), strict=True):
         row = results["scenes"].setdefault(scene.name, {}).setdefault(rung, [])
-        row.append({**record, "parts": _parts(scene, record["views"])})
+        row.append({**record, "parts": _parts(loaded[scene.name], record["views"])})
     write(output, "ladder", results, _table(results))
     click.echo(_table(results))
 
 
-def _parts(scene: Path, views: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+def _parts(scene: Scene, views: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
     """Mean figures between the training cameras and beyond them, where DTU's views were held out."""
-    names = [view.name for view in Scene.load(scene).views]
-    if {names.index(name) for name in views} != {i for part in DTU_PARTS.values() for i in part}:
-        return {}
     return {
-        part: {metric: statistics.fmean(views[names[i]][metric] for i in indices) for metric in SHOWN}
-        for part, indices in DTU_PARTS.items()
+        part: {metric: statistics.fmean(views[name][metric] for name in names) for metric in SHOWN}
+        for part, names in dtu_parts(scene).items()
     }
 
 

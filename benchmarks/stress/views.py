@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from nmbg.evaluation.published import DTU_PARTS
+from nmbg.evaluation.published import dtu_parts
 from nmbg.scene import Scene, evenly
 from stress.scenes import Random, Stress
 
@@ -29,10 +29,8 @@ def without_block(scene: Scene, severity: float, random: Random) -> Scene:
 
 def beyond_the_cameras(scene: Scene, severity: float) -> tuple[str, ...]:
     """Views between the training cameras, or beyond them, where DTU's views were held out."""
-    held_out = {i for i, view in enumerate(scene.views) if view.split == "test"}
-    if held_out != {i for part in DTU_PARTS.values() for i in part}:
-        return ()
-    return tuple(scene.views[i].name for i in list(DTU_PARTS.values())[int(severity)])
+    parts = dtu_parts(scene)
+    return list(parts.values())[int(severity)] if parts else ()
 
 
 def in_block(scene: Scene, severity: float) -> tuple[str, ...]:

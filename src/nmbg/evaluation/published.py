@@ -47,6 +47,14 @@ NMBG_(full)      28.98/22.90 .970/.943 7.15/11.13   30.67/25.75 .939/.917 12.10/
 DTU_PARTS = {"interpolation": (13, 14, 15, 23, 24, 25), "extrapolation": (0, 4, 38, 48)}
 
 
+def dtu_parts(scene: Scene) -> dict[str, tuple[str, ...]]:
+    """Names of the held-out views of each part; none where others than DTU's are held out."""
+    held_out = {i for i, view in enumerate(scene.views) if view.split == "test"}
+    if held_out != {i for part in DTU_PARTS.values() for i in part}:
+        return {}
+    return {part: tuple(scene.views[i].name for i in indices) for part, indices in DTU_PARTS.items()}
+
+
 @dataclass(frozen=True)
 class Table:
     """Published results on one scene.

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from nmbg.model.discriminator import Discriminator, size_for
 from nmbg.training.config import TrainConfig
+from nmbg.training.optimiser import finite
 from nmbg.training.processes import shared
 
 RATE = 1e-4  # paper, section 3.4: as the renderer's
@@ -51,8 +52,7 @@ class Adversary:
         loss = 2 * F.binary_cross_entropy_with_logits(logits, logits.new_tensor([1.0, 0.0]))
         loss.backward()  # type: ignore[no-untyped-call]
         # Averaged over the processes: all of them step, or none.
-        grads = [p.grad for p in self.discriminator.parameters() if p.grad is not None]
-        if all(bool(torch.isfinite(grad.sum())) for grad in grads):
+        if finite([p.grad for p in self.discriminator.parameters() if p.grad is not None]):
             self.optimiser.step()
         return loss.detach()
 

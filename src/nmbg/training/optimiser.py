@@ -102,11 +102,12 @@ def differentiate(loss: Tensor, parts: Sequence[Part]) -> tuple[bool, bool]:
     loss.backward()  # type: ignore[no-untyped-call]
     grads = [p.grad for optimiser, _ in parts for group in optimiser.param_groups for p in group["params"]]
     own = [loss, *(g._values() for g in grads if g is not None and g.is_sparse)]
-    sound = _finite(own)
-    return sound and _finite([g for g in grads if g is not None and not g.is_sparse]), sound
+    sound = finite(own)
+    return sound and finite([g for g in grads if g is not None and not g.is_sparse]), sound
 
 
-def _finite(values: Sequence[Tensor]) -> bool:
+def finite(values: Sequence[Tensor]) -> bool:
+    """Whether no value of any tensor is infinite or NaN; a sum that overflows counts as infinite."""
     return all(bool(torch.isfinite(value.sum())) for value in values)
 
 
