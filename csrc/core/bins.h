@@ -63,7 +63,7 @@ class Bins {
         });
     }
 
-    std::span<const Item> operator[](int64_t bin) const {
+    std::span<Item> operator[](int64_t bin) const {
         return {items_.get() + start_[bin], static_cast<std::size_t>(start_[bin + 1] - start_[bin])};
     }
 

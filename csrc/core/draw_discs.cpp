@@ -1,6 +1,7 @@
 #include "core/draw_discs.h"
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cmath>
 #include <limits>
@@ -29,13 +30,13 @@ void place(const Points<double>& points, int n, double radius, const Level& leve
     portable::place_discs(points, n, radius, level, hidden, out);
 }
 
-void draw_discs(const PointsView<float>& view, const Level& level, const PixelBox& box,
-                std::span<const int32_t> points, int32_t* index, float* dist2) {
-    NMBG_DISPATCH(draw_discs(view, level, box, points, index, dist2));
+void draw_discs(const PointsView<float>& view, const Level& level, const PixelBox& box, std::span<Run> runs,
+                int32_t* index, float* dist2) {
+    NMBG_DISPATCH(draw_discs(view, level, box, runs, index, dist2));
 }
-void draw_discs(const PointsView<double>& view, const Level& level, const PixelBox& box,
-                std::span<const int32_t> points, int32_t* index, double* dist2) {
-    portable::draw_any_discs(view, level, box, points, index, dist2);
+void draw_discs(const PointsView<double>& view, const Level& level, const PixelBox& box, std::span<Run> runs,
+                int32_t* index, double* dist2) {
+    portable::draw_any_discs(view, level, box, runs, index, dist2);
 }
 
 }  // namespace nmbg

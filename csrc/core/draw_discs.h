@@ -8,6 +8,7 @@
 #include "core/places.h"
 #include "core/pyramid.h"
 #include "core/rasterize_points.h"
+#include "core/runs.h"
 
 namespace nmbg {
 
@@ -33,11 +34,11 @@ void place(const Points<float>& points, int n, double radius, const Level& level
 void place(const Points<double>& points, int n, double radius, const Level& level, const Cells* hidden,
            Places& out);
 
-// Draws the discs of points, in ascending order, into the tile `box` of a level, and writes its pixels: index
-// and dist2 as for rasterize_points(). All points must be in front of the camera.
-void draw_discs(const PointsView<float>& view, const Level& level, const PixelBox& box,
-                std::span<const int32_t> points, int32_t* index, float* dist2);
-void draw_discs(const PointsView<double>& view, const Level& level, const PixelBox& box,
-                std::span<const int32_t> points, int32_t* index, double* dist2);
+// Draws the discs of points into the tile `box` of a level, and writes its pixels: index
+// and dist2 as for rasterize_points().
+void draw_discs(const PointsView<float>& view, const Level& level, const PixelBox& box, std::span<Run> runs,
+                int32_t* index, float* dist2);
+void draw_discs(const PointsView<double>& view, const Level& level, const PixelBox& box, std::span<Run> runs,
+                int32_t* index, double* dist2);
 
 }  // namespace nmbg

@@ -60,66 +60,69 @@ NMBG_INLINE void place_discs(const Points<T>& points, int n, double radius, cons
         }
         Box<i32x8> box = pixels_within<f32x8>(u - r, v - r, u + r, v + r, level.width, level.height);
         box.x1 = select(drawn, box.x1, box.x0);
-        store_places(box, i32x8{}, []() NMBG_INLINE_LAMBDA { return i32x8{}; }, level.tiling, i, out);
+        // For the rounding of z in float.
+        const auto nearest = [&]() NMBG_INLINE_LAMBDA { return z * (1 - 0x1p-20f); };
+        store_places(
+            box, i32x8{}, []() NMBG_INLINE_LAMBDA { return i32x8{}; }, nearest, level.tiling, i, out);
     }
 }
 
 template <class T>
 NMBG_INLINE void draw_any_discs(const PointsView<T>& view, const Level& level, const PixelBox& tile,
-                                std::span<const int32_t> points, int32_t* index, T* dist2) {
+                                std::span<Run> runs, int32_t* index, T* dist2) {
     using V = eight<T>;
-    alignas(64) T nearest[Tiling::pixels], apart[Tiling::pixels];
-    alignas(64) int32_t point[Tiling::pixels];
+    alignas(64) std::array<T, Tiling::pixels> nearest, apart;
+    alignas(64) std::array<int32_t, Tiling::pixels> point;
     const int stride = level.tiling.stride();
-    for (int i = 0; i < Tiling::pixels; i += wide) {
-        store(splat<V>(std::numeric_limits<double>::infinity()), nearest + i);
-        store(V{}, apart + i);
-        store(splat<i32x8>(-1), point + i);
-    }
+    clear(nearest, tile, stride), apart.fill(0), point.fill(-1);
 
     const auto radius2 = static_cast<T>(view.radius * view.radius);
     const auto scale = static_cast<T>(level.scale);
     const f32x8 r = splat<f32x8>(view.radius);
     const V centres = V{0, 1, 2, 3, 4, 5, 6, 7} + T(0.5);
-    for (std::size_t begin = 0; begin < points.size(); begin += wide) {
-        const int n = static_cast<int>(std::min<std::size_t>(wide, points.size() - begin));
-        int32_t some[wide];
-        for (int i = 0; i < wide; ++i) some[i] = points[begin + std::min(i, n - 1)];
-        for (std::size_t i = begin + wide; i < std::min(begin + 2 * wide, points.size()); ++i)
-            __builtin_prefetch(view.h + 3 * int64_t{points[i]});
-
-        const i32x8 at_h = 3 * load<i32x8>(some);
+    const auto ask = [&](int32_t point)
+                         NMBG_INLINE_LAMBDA { __builtin_prefetch(view.h + 3 * int64_t{point}); };
+    const auto fetch = [](const int32_t*) {};
+    const auto draw = [&](const int32_t* points) NMBG_INLINE_LAMBDA {
+        const i32x8 at_h = 3 * load<i32x8>(points);
         const V z = gather<V>(view.h, at_h + 2);
         const V u = gather<V>(view.h, at_h) / z * scale, v = gather<V>(view.h, at_h + 1) / z * scale;
         const f32x8 fu = floats(u), fv = floats(v);
         const Box<i32x8> reach =
             pixels_within<f32x8>(fu - r, fv - r, fu + r, fv + r, level.width, level.height);
-        for (int i = 0; i < n; ++i) {
+        for (uint32_t some = bits_of(z > 0); some; some &= some - 1) {
+            const int i = std::countr_zero(some);
             const int x0 = std::max(reach.x0[i], tile.x0) - tile.x0,
                       x1 = std::min(reach.x1[i], tile.x1) - tile.x0;
             const int y0 = std::max(reach.y0[i], tile.y0), y1 = std::min(reach.y1[i], tile.y1);
             const V x = V{} + u[i], depth = V{} + z[i];
+            const i32x8 item = i32x8{} + points[i];
             for (int32_t y = y0; y < y1; ++y) {
                 const T dy = v[i] - (static_cast<T>(y) + T(0.5));
                 for (int column = x0 / wide * wide; column < x1; column += wide) {
                     const V dx = x - (centres + static_cast<T>(tile.x0 + column));
                     const V d2 = dx * dx + dy * dy;
                     const int at = (y - tile.y0) * stride + column;
-                    const V before = load<V>(nearest + at);
-                    const auto wins = (d2 < radius2) & (depth < before);
-                    store(select(wins, depth, before), nearest + at);
-                    store(select(wins, d2, load<V>(apart + at)), apart + at);
-                    store(select(narrow(wins), i32x8{} + some[i], load<i32x8>(point + at)), point + at);
+                    const V before = load<V>(&nearest[at]);
+                    const i32x8 holder = load<i32x8>(&point[at]);
+                    const auto wins = narrow(d2 < radius2) &
+                                      (narrow(depth < before) | (narrow(depth == before) & (item < holder)));
+                    store(select(mask_for<V>(wins), depth, before), &nearest[at]);
+                    store(select(mask_for<V>(wins), d2, load<V>(&apart[at])), &apart[at]);
+                    store(select(wins, item, holder), &point[at]);
                 }
             }
         }
-    }
+    };
+    if (!runs.empty())
+        front_to_back(
+            runs, [&]() NMBG_INLINE_LAMBDA { return greatest_of_all<V>(nearest); }, ask, fetch, draw);
 
     for (int32_t y = tile.y0; y < tile.y1; ++y) {
         const int64_t pixel = level.first_pixel + int64_t{y} * level.width + tile.x0;
         const int at = (y - tile.y0) * stride, n = tile.x1 - tile.x0;
-        std::copy_n(point + at, n, index + pixel);
-        std::copy_n(apart + at, n, dist2 + pixel);
+        std::copy_n(&point[at], n, index + pixel);
+        std::copy_n(&apart[at], n, dist2 + pixel);
     }
 }
 
@@ -132,8 +135,8 @@ inline void place(const Points<float>& points, int n, double radius, const Level
     place_discs(points, n, radius, level, hidden, out);
 }
 inline void draw_discs(const PointsView<float>& view, const Level& level, const PixelBox& box,
-                       std::span<const int32_t> points, int32_t* index, float* dist2) {
-    draw_any_discs(view, level, box, points, index, dist2);
+                       std::span<Run> runs, int32_t* index, float* dist2) {
+    draw_any_discs(view, level, box, runs, index, dist2);
 }
 
 }  // namespace nmbg::NMBG_ISA

@@ -8,6 +8,7 @@
 
 #include "core/pyramid.h"
 #include "core/rasterize_faces.h"
+#include "core/runs.h"
 
 namespace nmbg {
 
@@ -17,11 +18,11 @@ struct FaceTile {
     alignas(64) std::array<int32_t, Tiling::pixels> face;
 };
 
-// Draws faces, in ascending order, into the tile `box` of a level, and writes its pixels. Every vertex that a
-// face names must exist.
-void draw_faces(const FacesView<float>& view, const Level& level, const PixelBox& box,
-                std::span<const int32_t> faces, const FacesResult<float>& out);
-void draw_faces(const FacesView<double>& view, const Level& level, const PixelBox& box,
-                std::span<const int32_t> faces, const FacesResult<double>& out);
+// Draws faces into the tile `box` of a level, and writes its pixels. Every vertex that a face names must
+// exist.
+void draw_faces(const FacesView<float>& view, const Level& level, const PixelBox& box, std::span<Run> runs,
+                const FacesResult<float>& out);
+void draw_faces(const FacesView<double>& view, const Level& level, const PixelBox& box, std::span<Run> runs,
+                const FacesResult<double>& out);
 
 }  // namespace nmbg

@@ -9,6 +9,11 @@ struct Batch {
     i32x8 small;  // whether at most 4 × 4 pixels are in reach
     i32x8 near;   // then, a bit for each of them that is inside, or is not but by rounding
 
+    // A bit for each face that may own a pixel.
+    NMBG_INLINE uint32_t lanes() const {
+        return bits_of(select(small, near != 0, (reach.x0 < reach.x1) & (reach.y0 < reach.y1)));
+    }
+
     NMBG_INLINE double edge(int i, int k, double x, double y) const {
         return t.a[k][i] * x + (t.b[k][i] * y + t.c[k][i]);
     }
@@ -17,8 +22,8 @@ struct Batch {
 // Which of the 4 × 4 pixels in reach are inside, in float: what is left out is outside for certain.
 NMBG_INLINE i32x8 near_small(const Batch& batch) {
     const Box<i32x8>& reach = batch.reach;
-    const i32x8 zero{}, across = select(batch.small, reach.x1 - reach.x0, zero),
-                        down = select(batch.small, reach.y1 - reach.y0, zero);
+    const i32x8 zero{}, across = select(batch.small, greatest_of(reach.x1 - reach.x0, zero), zero),
+                        down = select(batch.small, greatest_of(reach.y1 - reach.y0, zero), zero);
     const f64x8 x = number<f64x8>(reach.x0) + 0.5, y = number<f64x8>(reach.y0) + 0.5;
     f32x8 a[3], b[3], e[3];
     for (int k = 0; k < 3; ++k) {
@@ -47,13 +52,12 @@ NMBG_INLINE i32x8 near_small(const Batch& batch) {
 template <class T>
 NMBG_INLINE Batch prepare(const FacesView<T>& view, const Level& level, const PixelBox& tile,
                           const int32_t* faces) {
-    const i32x8 first = 3 * load<i32x8>(faces);
+    int32_t vertices[3 * wide];
+    for (int i = 0; i < wide; ++i) std::copy_n(view.faces + 3 * int64_t{faces[i]}, 3, vertices + 3 * i);
     Corners<f64x8> h;
     for (int k = 0; k < 3; ++k) {
-        const i32x8 at = 3 * gather<i32x8>(view.faces, first + k);
-        h.at[k] = {doubles(gather<eight<T>>(view.h, at)) * level.scale,
-                   doubles(gather<eight<T>>(view.h, at + 1)) * level.scale,
-                   doubles(gather<eight<T>>(view.h, at + 2))};
+        const Vec3<eight<T>> at = load_corners(view.h, vertices + k);
+        h.at[k] = {doubles(at.x) * level.scale, doubles(at.y) * level.scale, doubles(at.z)};
     }
     Batch batch{Triangle<f64x8>(h), {}, {}, {}};
 
@@ -66,10 +70,8 @@ NMBG_INLINE Batch prepare(const FacesView<T>& view, const Level& level, const Pi
         u[k] = __builtin_convertvector(h[k].x, f32x8) * inverse;
         v[k] = __builtin_convertvector(h[k].y, f32x8) * inverse;
     }
-    const Box<i32x8> near =
-        pixels_within<f32x8>(least_of(least_of(u[0], u[1]), u[2]), least_of(least_of(v[0], v[1]), v[2]),
-                             greatest_of(greatest_of(u[0], u[1]), u[2]),
-                             greatest_of(greatest_of(v[0], v[1]), v[2]), level.width, level.height);
+    const Box<i32x8> near = pixels_within<f32x8>(least_of(u), least_of(v), greatest_of(u), greatest_of(v),
+                                                 level.width, level.height);
     // What crosses the camera plane, or nearly does, may reach the whole tile.
     const i32x8 bounded = narrow(front);
     const i32x8 left = i32x8{} + tile.x0, top = i32x8{} + tile.y0;
@@ -98,7 +100,8 @@ NMBG_INLINE void draw_small(const Batch& batch, int i, int32_t face, const Pixel
         const double depth = t.determinant[i] / (e0 + e1 + e2);
         const int slot = (row - box.y0) * stride + (column - box.x0);
         const bool inside = (e0 >= t.least[0][i]) & (e1 >= t.least[1][i]) & (e2 >= t.least[2][i]);
-        if (!(inside & (depth < tile.depth[slot]))) continue;
+        const double nearest = tile.depth[slot];
+        if (!(inside & ((depth < nearest) | ((depth == nearest) & (face < tile.face[slot]))))) continue;
         tile.depth[slot] = depth, tile.face[slot] = face;
         tile.e0[slot] = e0, tile.e1[slot] = e1, tile.e2[slot] = e2;
     }
@@ -124,31 +127,22 @@ NMBG_INLINE void draw_rows(const Batch& batch, int i, int32_t face, const PixelB
             if (!any_of(inside)) continue;
             const int at = (row - box.y0) * stride + column;
             const f64x8 nearest = load<f64x8>(&tile.depth[at]), depth = determinant / (e0 + e1 + e2);
-            const i64x8 wins = inside & (depth < nearest);
+            const i32x8 before = load<i32x8>(&tile.face[at]);
+            const i64x8 wins =
+                inside & ((depth < nearest) | ((depth == nearest) & mask_for<f64x8>(before > face)));
             store(select(wins, depth, nearest), &tile.depth[at]);
             store(select(wins, e0, load<f64x8>(&tile.e0[at])), &tile.e0[at]);
             store(select(wins, e1, load<f64x8>(&tile.e1[at])), &tile.e1[at]);
             store(select(wins, e2, load<f64x8>(&tile.e2[at])), &tile.e2[at]);
-            const i32x8 before = load<i32x8>(&tile.face[at]);
             store(select(narrow(wins), i32x8{} + face, before), &tile.face[at]);
         }
     }
 }
 
-// Asks for the vertices of the next faces, and for the faces after them.
-template <class T>
-NMBG_INLINE void prefetch(const FacesView<T>& view, std::span<const int32_t> faces) {
-    for (std::size_t i = wide; i < std::min<std::size_t>(2 * wide, faces.size()); ++i)
-        for (int k = 0; k < 3; ++k)
-            __builtin_prefetch(view.h + 3 * int64_t{view.faces[3 * int64_t{faces[i]} + k]});
-    for (std::size_t i = 2 * wide; i < std::min<std::size_t>(3 * wide, faces.size()); ++i)
-        __builtin_prefetch(view.faces + 3 * int64_t{faces[i]});
-}
-
 template <class T>
 NMBG_INLINE void draw_any(const FacesView<T>& view, const Level& level, const PixelBox& box,
-                          std::span<const int32_t> faces, const FacesResult<T>& out) {
-    if (faces.empty()) {
+                          std::span<Run> runs, const FacesResult<T>& out) {
+    if (runs.empty()) {
         for (int32_t row = box.y0; row < box.y1; ++row) {
             const int64_t pixel = level.first_pixel + int64_t{row} * level.width + box.x0;
             const int n = box.x1 - box.x0;
@@ -160,23 +154,29 @@ NMBG_INLINE void draw_any(const FacesView<T>& view, const Level& level, const Pi
     }
 
     FaceTile tile;
-    tile.depth.fill(std::numeric_limits<double>::infinity());
-    tile.e0.fill(0), tile.e1.fill(0), tile.e2.fill(0), tile.face.fill(-1);
     const int stride = level.tiling.stride();
+    clear(tile.depth, box, stride), tile.face.fill(-1);
+    tile.e0.fill(0), tile.e1.fill(0), tile.e2.fill(0);
 
-    for (std::size_t begin = 0; begin < faces.size(); begin += wide) {
-        const int n = static_cast<int>(std::min<std::size_t>(wide, faces.size() - begin));
-        int32_t some[wide];
-        for (int i = 0; i < wide; ++i) some[i] = faces[begin + std::min(i, n - 1)];
-        prefetch(view, faces.subspan(begin));
-        const Batch batch = prepare(view, level, box, some);
-        for (int i = 0; i < n; ++i) {
+    const auto ask = [&](int32_t face)
+                         NMBG_INLINE_LAMBDA { __builtin_prefetch(view.faces + 3 * int64_t{face}); };
+    const auto fetch = [&](const int32_t* faces) NMBG_INLINE_LAMBDA {
+        for (int i = 0; i < wide; ++i)
+            for (int k = 0; k < 3; ++k)
+                __builtin_prefetch(view.h + 3 * int64_t{view.faces[3 * int64_t{faces[i]} + k]});
+    };
+    const auto draw = [&](const int32_t* faces) NMBG_INLINE_LAMBDA {
+        const Batch batch = prepare(view, level, box, faces);
+        for (uint32_t some = batch.lanes(); some; some &= some - 1) {
+            const int i = std::countr_zero(some);
             if (batch.small[i])
-                draw_small(batch, i, some[i], box, stride, tile);
+                draw_small(batch, i, faces[i], box, stride, tile);
             else
-                draw_rows(batch, i, some[i], box, stride, tile);
+                draw_rows(batch, i, faces[i], box, stride, tile);
         }
-    }
+    };
+    front_to_back(
+        runs, [&]() NMBG_INLINE_LAMBDA { return greatest_of_all<f64x8>(tile.depth); }, ask, fetch, draw);
 
     for (int32_t row = box.y0; row < box.y1; ++row) {
         const int64_t pixel = level.first_pixel + int64_t{row} * level.width + box.x0;
@@ -209,8 +209,8 @@ NMBG_INLINE void draw_any(const FacesView<T>& view, const Level& level, const Pi
 }
 
 inline void draw_faces(const FacesView<float>& view, const Level& level, const PixelBox& box,
-                       std::span<const int32_t> faces, const FacesResult<float>& out) {
-    draw_any(view, level, box, faces, out);
+                       std::span<Run> runs, const FacesResult<float>& out) {
+    draw_any(view, level, box, runs, out);
 }
 
 }  // namespace nmbg::NMBG_ISA

@@ -3,9 +3,11 @@
 #include "core/isa.h"
 #include "core/places.h"
 #include "core/portable.h"
+#include "core/runs.h"
 
 #define NMBG_ISA portable
 #include "core/places.inl"
+#include "core/runs.inl"
 #include NMBG_FILE
 #undef NMBG_ISA
 
@@ -23,6 +25,7 @@
 #define NMBG_ISA avx2
 #include "core/lanes.inl"
 #include "core/places.inl"
+#include "core/runs.inl"
 #include "core/triangle.inl"
 #include NMBG_FILE
 #undef NMBG_ISA
@@ -39,6 +42,7 @@
 #define NMBG_ISA avx512
 #include "core/lanes.inl"
 #include "core/places.inl"
+#include "core/runs.inl"
 #include "core/triangle.inl"
 #include NMBG_FILE
 #undef NMBG_ISA

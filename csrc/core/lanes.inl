@@ -56,6 +56,10 @@ NMBG_INLINE S greatest_of(const S& a, const S& b) {
     return select(a < b, b, a);
 }
 
+// Of the three corners of triangles.
+NMBG_INLINE f32x8 least_of(const f32x8* x) { return least_of(least_of(x[0], x[1]), x[2]); }
+NMBG_INLINE f32x8 greatest_of(const f32x8* x) { return greatest_of(greatest_of(x[0], x[1]), x[2]); }
+
 // Eight numbers of type T, and as doubles.
 template <class T>
 using eight = std::conditional_t<std::is_same_v<T, float>, f32x8, f64x8>;
@@ -63,10 +67,6 @@ NMBG_INLINE f64x8 doubles(const f32x8& x) { return __builtin_convertvector(x, f6
 NMBG_INLINE f64x8 doubles(const f64x8& x) { return x; }
 NMBG_INLINE f32x8 floats(const f32x8& x) { return x; }
 NMBG_INLINE f32x8 floats(const f64x8& x) { return __builtin_convertvector(x, f32x8); }
-
-// 1 where the comparison holds, else 0.
-NMBG_INLINE int32_t one_where(bool holds) { return holds; }
-NMBG_INLINE i32x8 one_where(const i32x8& mask) { return -mask; }
 
 // The whole numbers towards zero, and numbers from them.
 template <class S>
@@ -84,6 +84,14 @@ NMBG_INLINE S number(const i32x8& i) {
 }
 NMBG_INLINE i32x8 narrow(const i64x8& i) { return __builtin_convertvector(i, i32x8); }
 NMBG_INLINE i32x8 narrow(const i32x8& i) { return i; }
+// A mask for V's elements.
+template <class V>
+NMBG_INLINE auto mask_for(const i32x8& i) {
+    if constexpr (sizeof(V) == sizeof(i32x8))
+        return i;
+    else
+        return __builtin_convertvector(i, i64x8);
+}
 
 // A bit for each element of a mask, the lowest for the first.
 NMBG_INLINE uint32_t bits_of(const i64x8& mask) {
@@ -119,6 +127,16 @@ NMBG_INLINE int32_t greatest_in(const i32x8& x) {
     return two[0] > two[1] ? two[0] : two[1];
 }
 
+// The greatest of many numbers, whole vectors of them.
+template <class V, class Array>
+NMBG_INLINE auto greatest_of_all(const Array& x) {
+    V most = load<V>(x.data());
+    for (std::size_t i = wide; i < x.size(); i += wide) most = greatest_of(most, load<V>(x.data() + i));
+    auto greatest = most[0];
+    for (int i = 1; i < wide; ++i) greatest = std::max(greatest, most[i]);
+    return greatest;
+}
+
 // Writes (x[0], y[0], z[0], x[1], …).
 template <class V, class E>
 NMBG_INLINE void store_interleaved(const V& x, const V& y, const V& z, E* to) {
@@ -136,15 +154,12 @@ struct Box {
     I x0{}, y0{}, x1{}, y1{};
 };
 
-// The first pixel of [0, size] whose centre is at `x` or beyond; x may be infinite, what is no number counts
-// as −∞.
+// The first pixel of [0, size] whose centre is beyond `x`; x may be infinite, what is no number counts as −∞.
 template <class S>
-NMBG_INLINE auto first_pixel_from(const S& x, int32_t size) {
-    const S start = x - splat<S>(0.5), last = splat<S>(size), zero = splat<S>(0);
-    const S above = select(start > zero, start, zero);
-    const S bounded = select(above < last, above, last);
-    const auto pixel = whole(bounded);
-    return pixel + one_where(number<S>(pixel) < bounded);
+NMBG_INLINE auto first_pixel_beyond(const S& x, int32_t size) {
+    const S next = x + splat<S>(0.5), last = splat<S>(size), zero = splat<S>(0);
+    const S above = select(next > zero, next, zero);
+    return whole(select(above < last, above, last));
 }
 
 // Pixels: wider than what float coordinates of so many pixels round by, narrower than what would slow the
@@ -159,8 +174,8 @@ NMBG_INLINE auto pixels_within(const S& xmin, const S& ymin, const S& xmax, cons
                                int32_t height) {
     const S margin = splat<S>(margin_of(width, height));
     return Box<decltype(whole(xmin))>{
-        first_pixel_from<S>(xmin - margin, width), first_pixel_from<S>(ymin - margin, height),
-        first_pixel_from<S>(xmax + margin, width), first_pixel_from<S>(ymax + margin, height)};
+        first_pixel_beyond<S>(xmin - margin, width), first_pixel_beyond<S>(ymin - margin, height),
+        first_pixel_beyond<S>(xmax + margin, width), first_pixel_beyond<S>(ymax + margin, height)};
 }
 
 }  // namespace nmbg::NMBG_ISA

@@ -8,12 +8,11 @@
 
 namespace nmbg {
 
-void project(const float* h, int64_t n, Screen* screen) { NMBG_DISPATCH(project(h, n, screen)); }
-
-void project(const double* h, int64_t n, Screen* screen) { portable::project_any(h, n, screen); }
-
-bool outline(const Screen* screen, int32_t last, const int32_t* faces, int n, Outlines& out) {
-    NMBG_DISPATCH(outline(screen, last, faces, n, out));
+bool outline(const float* h, int64_t vertices, const int32_t* faces, int n, Outlines& out) {
+    NMBG_DISPATCH(outline(h, vertices, faces, n, out));
+}
+bool outline(const double* h, int64_t vertices, const int32_t* faces, int n, Outlines& out) {
+    return portable::outline_any(h, vertices, faces, n, out);
 }
 
 void place(const Outlines& outlines, int n, const Level& level, Places& out) {

@@ -7,18 +7,12 @@
 
 namespace nmbg {
 
-// A vertex on the image; not a number where it is not in front of the camera or not finite.
-struct Screen {
-    float u, v;
-};
-
-// h [n, 3] → screen [n].
-void project(const float* h, int64_t n, Screen* screen);
-void project(const double* h, int64_t n, Screen* screen);
-
-// Corners on the image of some faces.
+// Corners on the image of some faces, and their view-space z; u and v are no numbers where a corner is not in
+// front of the camera or not finite.
 struct Outlines {
-    float u[3][Places::most], v[3][Places::most];
+    float u[3][Places::most], v[3][Places::most], z[3][Places::most];
+    // The boxes around them.
+    float u0[Places::most], v0[Places::most], u1[Places::most], v1[Places::most];
 
     // Whether all corners of face i are in front of the camera.
     bool in_front(int i) const {
@@ -27,8 +21,10 @@ struct Outlines {
     }
 };
 
-// Writes the outlines of n faces. False if one names a vertex beyond `last`.
-bool outline(const Screen* screen, int32_t last, const int32_t* faces, int n, Outlines& out);
+// Projects the corners of n faces, faces [n, 3] of h [vertices, 3]. False if one names a vertex that is not
+// there.
+bool outline(const float* h, int64_t vertices, const int32_t* faces, int n, Outlines& out);
+bool outline(const double* h, int64_t vertices, const int32_t* faces, int n, Outlines& out);
 
 // Places n faces.
 void place(const Outlines& outlines, int n, const Level& level, Places& out);

@@ -1,9 +1,6 @@
 #include "core/rasterize_faces.h"
 
 #include <algorithm>
-#include <cmath>
-#include <limits>
-#include <memory>
 
 #include "core/bins.h"
 #include "core/check.h"
@@ -11,6 +8,7 @@
 #include "core/parallel.h"
 #include "core/place_faces.h"
 #include "core/pyramid.h"
+#include "core/runs.h"
 #include "core/triangle.h"
 
 namespace nmbg {
@@ -18,10 +16,10 @@ namespace {
 
 // Puts a face into each tile that it may touch.
 template <class T, class Put>
-void spread(const FacesView<T>& view, const Level& level, int64_t face, PixelBox box, bool in_front,
-            const Put& put) {
+void spread(const FacesView<T>& view, const Level& level, int64_t face, float nearest, PixelBox box,
+            bool in_front, const Put& put) {
     constexpr int64_t few = 4;
-    const auto item = static_cast<int32_t>(face);
+    const auto item = Run::one(static_cast<int32_t>(face), nearest);
     if (in_front && level.tiling.touched(box) <= few) {
         level.tiling.for_each(box, [&](int64_t tile) { put(level.first_tile + tile, item); });
         return;
@@ -42,31 +40,24 @@ void rasterize_faces(const FacesView<T>& view, const FacesResult<T>& out) {
     const Pyramid pyramid(view.height, view.width, view.levels);
     if (view.count && !view.vertices) checked("faces", view.faces[0], 0, 0);
 
-    const auto screen = std::make_unique_for_overwrite<Screen[]>(view.vertices);
-    parallel_blocks(view.vertices, view.threads, [&](int64_t begin, int64_t end) {
-        project(view.h + 3 * begin, end - begin, screen.get() + begin);
-    });
-
     const auto list = [&](int64_t begin, int64_t end, const auto& put) {
         Outlines outlines;
         Places places;
         for (int64_t first = begin; first < end; first += Places::most) {
             const int n = static_cast<int>(std::min<int64_t>(Places::most, end - first));
             const int32_t* faces = view.faces + 3 * first;
-            if (!outline(screen.get(), static_cast<int32_t>(view.vertices - 1), faces, n, outlines))
+            if (!outline(view.h, view.vertices, faces, n, outlines))
                 for (int i = 0; i < 3 * n; ++i) checked("faces", faces[i], 0, view.vertices);
             for (const Level& level : pyramid.levels()) {
                 place(outlines, n, level, places);
-                places.for_each(n, [&](int i) {
-                    if (places.tile[i] != Places::several_tiles)
-                        put(level.first_tile + places.tile[i], static_cast<int32_t>(first + i));
-                    else
-                        spread(view, level, first + i, places.box(i), outlines.in_front(i), put);
+                list_runs(places, n, first, level, put, [&](int i) {
+                    spread(view, level, first + i, places.nearest[i], places.box(i), outlines.in_front(i),
+                           put);
                 });
             }
         }
     };
-    const Bins<int32_t> bins(view.count, pyramid.tiles(), view.threads, list);
+    const Bins<Run> bins(view.count, pyramid.tiles(), view.threads, list);
 
     parallel_for(pyramid.tiles(), view.threads, [&](int64_t tile) {
         const Level& level = pyramid.of_tile(tile);

@@ -9,6 +9,7 @@
 #include "core/hiding.h"
 #include "core/parallel.h"
 #include "core/pyramid.h"
+#include "core/runs.h"
 #include "core/scatter.h"
 
 namespace nmbg {
@@ -27,18 +28,15 @@ void rasterize_points(const PointsView<T>& view, int32_t* index, T* dist2) {
             for (std::size_t k = 0; k < pyramid.levels().size(); ++k) {
                 const Level& level = pyramid.levels()[k];
                 place(points, n, view.radius, level, hiding.of(k), places);
-                places.for_each(n, [&](int i) {
-                    const auto point = static_cast<int32_t>(first + i);
-                    if (places.tile[i] != Places::several_tiles)
-                        put(level.first_tile + places.tile[i], point);
-                    else
-                        level.tiling.for_each(places.box(i),
-                                              [&](int64_t tile) { put(level.first_tile + tile, point); });
+                list_runs(places, n, first, level, put, [&](int i) {
+                    const Run run = Run::one(static_cast<int32_t>(first + i), places.nearest[i]);
+                    level.tiling.for_each(places.box(i),
+                                          [&](int64_t tile) { put(level.first_tile + tile, run); });
                 });
             }
         }
     };
-    const Bins<int32_t> bins(view.points, pyramid.tiles(), view.threads, list);
+    const Bins<Run> bins(view.points, pyramid.tiles(), view.threads, list);
 
     parallel_for(pyramid.tiles(), view.threads, [&](int64_t i) {
         const int64_t tile = pyramid.tiles() - 1 - i;  // coarse levels first: their lists are long

@@ -8,6 +8,41 @@ struct Vec3 {
     S x, y, z;
 };
 
+// Of eight faces, one after another, the rows of h [vertices, 3] that their k-th corners name; `vertex`
+// points to the k-th corner of the first.
+template <class T>
+NMBG_INLINE Vec3<eight<T>> load_corners(const T* h, const int32_t* vertex) {
+#ifdef NMBG_AVX2
+    if constexpr (std::is_same_v<T, float>) {
+        const auto row = [&](int i) NMBG_INLINE_LAMBDA {
+            const float* from = h + 3 * int64_t{vertex[3 * i]};
+#ifdef NMBG_AVX512
+            return _mm_maskz_loadu_ps(7, from);
+#else
+            return _mm_maskload_ps(from, _mm_set_epi32(0, -1, -1, -1));
+#endif
+        };
+        const auto rows = [&](int i) NMBG_INLINE_LAMBDA {
+            return (f32x8)_mm256_insertf128_ps(_mm256_castps128_ps256(row(i)), row(i + 4), 1);
+        };
+        const f32x8 a = rows(0), b = rows(1), c = rows(2), d = rows(3);
+        const f32x8 ab = __builtin_shufflevector(a, b, 0, 8, 1, 9, 4, 12, 5, 13);
+        const f32x8 cd = __builtin_shufflevector(c, d, 0, 8, 1, 9, 4, 12, 5, 13);
+        const f32x8 ab_z = __builtin_shufflevector(a, b, 2, 10, 3, 11, 6, 14, 7, 15);
+        const f32x8 cd_z = __builtin_shufflevector(c, d, 2, 10, 3, 11, 6, 14, 7, 15);
+        return {__builtin_shufflevector(ab, cd, 0, 1, 8, 9, 4, 5, 12, 13),
+                __builtin_shufflevector(ab, cd, 2, 3, 10, 11, 6, 7, 14, 15),
+                __builtin_shufflevector(ab_z, cd_z, 0, 1, 8, 9, 4, 5, 12, 13)};
+    }
+#endif
+    Vec3<eight<T>> at;
+    for (int i = 0; i < wide; ++i) {
+        const T* from = h + 3 * int64_t{vertex[3 * i]};
+        at.x[i] = from[0], at.y[i] = from[1], at.z[i] = from[2];
+    }
+    return at;
+}
+
 // Exact antisymmetry, cross(a, b) == -cross(b, a) to the last bit, is what makes two faces agree on the edge
 // between them: every pixel centre is on the inner side of exactly one of the two.
 template <class S>

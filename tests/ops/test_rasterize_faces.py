@@ -239,6 +239,52 @@ def test_what_cannot_be_drawn_is_left_out(op, dtype):
     assert depth.isfinite().all()
 
 
+def sheets(seed: int, layers: int, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """Grids of small faces that cross, many at the same depth, one with holes; and thin faces edge-on."""
+    g = np.random.default_rng(seed)
+    u, v = np.meshgrid(np.linspace(-2.013, 66.17, 41), np.linspace(-2.019, 50.23, 31))
+    corner = np.arange(40) + 41 * np.arange(30)[:, None]
+    halves = np.stack([[corner, corner + 1, corner + 42], [corner, corner + 42, corner + 41]])
+    quads = halves.transpose(2, 3, 0, 1)
+    h, faces = [], []
+    for layer in range(layers):
+        z = 1 + 0.1 * np.sin(u / 6 + layer // 2) + 0.1 * np.sin(v / 5)
+        if layer % 3:
+            z = np.round(16 * z) / 16
+        kept = quads.reshape(-1, 3)[g.random(2400) > 0.15 * (layer == 0)]
+        faces.append(kept + sum(map(len, h)))
+        h.append(np.stack([u * z, v * z, z], -1).reshape(-1, 3))
+    # Corners in one line with the camera, but for as much as float keeps of it.
+    ends = g.uniform(0, 48, (300, 2, 2))
+    third = ends.mean(1) + g.choice([0, 1e-6, 1e-3], (300, 1))
+    uv, z = np.concatenate([ends, third[:, None]], 1), g.uniform(0.3, 6, (300, 3, 1))
+    faces.append(np.arange(900).reshape(-1, 3) + sum(map(len, h)))
+    h.append(np.concatenate([uv * z, z], -1).reshape(-1, 3))
+    return torch.tensor(np.concatenate(h)).to(dtype), torch.tensor(np.concatenate(faces).astype(np.int32))
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("order", ["along the grids", "any"])
+@pytest.mark.parametrize("layers", [1, 2, 7])
+def test_what_is_left_out_as_hidden_would_not_be_seen(dtype, order, layers):
+    h, faces = sheets(layers, layers, dtype)
+    h[5::297], h[6::297, 2], h[7::297, 0], h[8::297, 2], h[9::297, 2] = (
+        math.nan,
+        -1,
+        math.inf,
+        math.inf,
+        1e-40,
+    )
+    if order == "any":
+        faces = faces[torch.randperm(len(faces), generator=torch.Generator().manual_seed(0))]
+    found = rasterize_faces_pyramid(h, faces, 48, 64, 3)
+    expected = reference.rasterize_faces_pyramid(h, faces, 48, 64, 3)
+    assert len(expected[0].face.unique()) > 500
+    for ours, theirs in zip(found, expected, strict=True):
+        assert torch.equal(ours.face, theirs.face)
+        torch.testing.assert_close(ours.depth, theirs.depth)
+
+
 @pytest.mark.parametrize("dtype", DTYPES)
 def test_a_corner_as_good_as_on_the_camera_plane_hides_no_pixel(dtype):
     # Above the image, below the left and the right edge; z so small that its reciprocal is infinite in float.

@@ -64,6 +64,25 @@ def test_what_crowded_levels_leave_out_would_not_be_seen(dtype, radius):
             assert torch.equal(part, whole)
 
 
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("order", ["along rows", "any"])
+@pytest.mark.parametrize("radius", [0.6, 2.3])
+def test_what_is_left_out_as_hidden_would_not_be_seen(dtype, order, radius):
+    # Two sides of a closed surface, a third behind both that is seen through a hole; many equally near.
+    v, u = torch.meshgrid(torch.arange(-2, 40, 0.5), torch.arange(-2, 75, 0.5), indexing="ij")
+    holed = (u - 30).square() + (v - 20).square() > 60
+    sides = [(u[holed], v[holed], 1.0), (u[holed] + 0.2, v[holed], 2.0), (u.flatten(), v.flatten(), 2.0)]
+    parts = [(a, b, z + 0.125 * (a / 8).sin().round()) for a, b, z in sides]
+    h = torch.cat([torch.stack([a * z, b * z, z], 1) for a, b, z in parts]).to(dtype)
+    h[5::97], h[6::97, 2], h[7::97, 0], h[8::97, 2], h[9::97, 2] = math.nan, -1, math.inf, math.inf, 1e-40
+    if order == "any":
+        h = h[torch.randperm(len(h), generator=torch.Generator().manual_seed(0))]
+    found, expected = rasterize_points(h, radius, 37, 70), reference.rasterize_points(h, radius, 37, 70)
+    assert (expected.point.unique() >= 0).sum() > 500
+    assert torch.equal(found.point, expected.point)
+    torch.testing.assert_close(found.dist2, expected.dist2)
+
+
 def test_gradient_is_the_derivative(random_scene):
     h, _ = random_scene(1, 6, 7, vertices=12)
 
