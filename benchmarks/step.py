@@ -58,8 +58,8 @@ class Steps:
         self.config, self.renderer = config, checkpoint.build_renderer(scene, config)
         self.renderer.set_colours(mean_colours(self.renderer.layers))
         self.renderer.train()
-        self.perceptual = make_perceptual(config, weights)
-        self.views, _ = member.make_views(scene, config, self.renderer, None)
+        self.perceptual = make_perceptual(config, weights, None)
+        self.views, _ = member.make_views(scene, config, self.renderer, None, None)
         self.stage = config.stages[-1]
         self.parts = [
             *network_part(self.renderer.network, self.stage),

@@ -28,8 +28,8 @@ from nmbg.training.initial import take_over
 from nmbg.training.loop import Loop
 from nmbg.training.member import Member, begin, split_training
 from nmbg.training.schedule import extra_steps, shard
+from nmbg.training.shelf import GIB
 from nmbg.training.trainer import make_adversary, make_perceptual, smallest_window, with_layers
-from nmbg.training.views import GIB
 
 EPOCHS = 15  # paper, section 4
 
@@ -64,7 +64,8 @@ def train_together(
     config = with_layers(config, [Scene.load(folder) for folder in folders], init)
     _check(scenes, folders, config)
     company = _Company.of(run, scenes, config, clock)
-    perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *company.window)
+    perceptual = make_perceptual(config, weights, run)
+    adversary = make_adversary(config, *company.window)
     if init is not None:
         take_over(init, config, company.bare, adversary)
     first = processes.rank() == 0
@@ -113,7 +114,8 @@ def resume_together(run: Path, weights: Path | None = None, device: str | None =
     company = _Company.of(run, scenes, config, clock)
     company.written = {name: state.scenes[name] for name in company.written}
     checkpoint.load_module(found, "network", company.bare)
-    perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *company.window)
+    perceptual = make_perceptual(config, weights, run)
+    adversary = make_adversary(config, *company.window)
     if adversary is not None and "adversary" in optimisers:
         adversary.load_state_dict(optimisers["adversary"])
     company.share()

@@ -58,7 +58,7 @@ class Member:
             fit = refit_left_out(renderer, scene)
         renderer.exposures = checkpoint.load_exposures(folder)
         self.left_out = None if fit is None or not can_leave_out(config) else LeftOut(renderer, fit)
-        self.training, self.validation = make_views(scene, config, renderer, self.left_out)
+        self.training, self.validation = make_views(scene, config, renderer, self.left_out, folder)
         self.artificial = ArtificialCameras(scene) if config.artificial_views else None
         self.steps = 0  # that looked at it
         self.stage = -1  # whose rates the descriptors have
@@ -230,9 +230,12 @@ def _fit_colours(scene: Scene, config: TrainConfig, renderer: Renderer) -> Colou
 
 
 def make_views(
-    scene: Scene, config: TrainConfig, renderer: Renderer, left_out: LeftOut | None
+    scene: Scene, config: TrainConfig, renderer: Renderer, left_out: LeftOut | None, folder: Path | None
 ) -> tuple[Views, Views]:
-    """Examples of both parts of the training views; what is left out of them, where anything is."""
+    """Examples of both parts of the training views; what is left out of them, where anything is.
+
+    Those that memory does not take lie in `folder`.
+    """
 
     def rasterized(camera: Camera, view: View) -> Prepared:
         return renderer.rasterize(camera)
@@ -244,6 +247,6 @@ def make_views(
     cache = config.cache_gib / (2 if config.whole_frames and config.perceptual != "none" else 1)
     exposures = renderer.exposures
     return (
-        Views(scene, training, see, cache if frames else 0.0, exposures),
-        Views(scene, aside, see, cache, exposures),
+        Views(scene, training, see, cache if frames else 0.0, folder, exposures),
+        Views(scene, aside, see, cache, folder, exposures),
     )

@@ -2,27 +2,29 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import torch
 from torch import Tensor
 
 from nmbg.losses import Perceptual
-from nmbg.training.views import GIB
+from nmbg.training.shelf import Shelf
 
 
 class PerceptualTerm:
-    """The loss with the features of its targets, which are computed once and kept up to a limit.
+    """The loss with the features of its targets, which are computed once where there is room to keep them.
 
     They are kept in half precision, and used so from the first time on: no number depends on what is kept.
 
     Args:
         loss: compares features.
         cache_gib: memory for features, GiB; 0 where targets differ from step to step.
+        folder: that takes those beyond it; None for memory alone.
     """
 
-    def __init__(self, loss: Perceptual, cache_gib: float) -> None:
+    def __init__(self, loss: Perceptual, cache_gib: float, folder: Path | None = None) -> None:
         self.loss = loss
-        self._free = int(cache_gib * GIB)
-        self._cache: dict[str, list[Tensor]] = {}
+        self._shelf: Shelf[list[Tensor]] = Shelf(cache_gib, folder)
 
     @torch.no_grad()
     def of_target(self, name: str, image: Tensor) -> list[Tensor]:
@@ -32,11 +34,8 @@ class PerceptualTerm:
             name: of the view; while features are kept, the same image belongs to it every time.
             image: [1, 3, H, W] in [0, 1].
         """
-        if name in self._cache:
-            return [feature.float() for feature in self._cache[name]]
-        features = [feature.half() for feature in self.loss.features(image)]
-        size = sum(feature.nbytes for feature in features)
-        if size <= self._free:
-            self._free -= size
-            self._cache[name] = features
+        features = self._shelf.get(name)
+        if features is None:
+            features = [feature.half() for feature in self.loss.features(image)]
+            self._shelf.put(name, features, sum(feature.nbytes for feature in features))
         return [feature.float() for feature in features]

@@ -55,7 +55,7 @@ def train(
     if init is not None:
         refuse_other_network(init, config)
     window = smallest_window(config, [scene])
-    perceptual, adversary = make_perceptual(config, weights), make_adversary(config, *window)
+    perceptual, adversary = make_perceptual(config, weights, run), make_adversary(config, *window)
     with atomic_folder(run, overwrite) as temporary:
         scene_, config, renderer, colours = begin(scene, config, temporary, None)
         if init is not None:
@@ -91,7 +91,7 @@ def resume(run: Path, weights: Path | None = None, device: str | None = None) ->
         raise NmbgError(f"{run}: no checkpoint to resume from; train it anew with --overwrite")
     state, optimisers = checkpoint.load_progress(found), checkpoint.load_optimisers(found)
     clock = Clock(state.seconds)
-    perceptual = make_perceptual(config, weights)
+    perceptual = make_perceptual(config, weights, run)
     member = Member.load(run, config, None, found)
     checkpoint.load_module(found, "network", member.renderer.network)
     # Of all views, those that were left out as well: as it was made.
@@ -123,12 +123,12 @@ class _Alone:
         checkpoint.drop_others(checkpoint.save_checkpoint(member.folder, progress, modules, states))
 
 
-def make_perceptual(config: TrainConfig, weights: Path | None) -> PerceptualTerm | None:
-    """L_rec, where a stage asks for it."""
+def make_perceptual(config: TrainConfig, weights: Path | None, folder: Path | None) -> PerceptualTerm | None:
+    """L_rec, where a stage asks for it; `folder` takes features that memory does not."""
     if config.perceptual == "none" or not any(stage.perceptual for stage in config.stages):
         return None
     loss = Perceptual(config.perceptual, weights).to(config.device)
-    return PerceptualTerm(loss, config.cache_gib / 2 if config.whole_frames else 0.0)
+    return PerceptualTerm(loss, config.cache_gib / 2 if config.whole_frames else 0.0, folder)
 
 
 def with_layers(config: TrainConfig, scenes: Sequence[Scene], init: Path | None) -> TrainConfig:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -14,8 +15,7 @@ from nmbg.model.exposure import Exposure, Exposures
 from nmbg.model.photographs import Gathered
 from nmbg.model.renderer import Prepared
 from nmbg.scene import Scene, View, evenly
-
-GIB = 2**30
+from nmbg.training.shelf import Shelf
 
 
 @dataclass(frozen=True)
@@ -46,13 +46,14 @@ class Example:
 
 
 class Views:
-    """Examples of a scene's views, kept up to a limit; beyond it they are made anew, with the same numbers.
+    """Examples of a scene's views, kept where there is room, else made anew, with the same numbers.
 
     Args:
         scene: the scene.
         views: which of its views.
         see: camera of a view, or of a part of it, and the view → what the renderer needs of it.
         cache_gib: memory for whole-frame examples, GiB.
+        folder: that takes those beyond it; None for memory alone.
         exposures: of training photographs, where they are known to differ.
     """
 
@@ -62,12 +63,12 @@ class Views:
         views: tuple[View, ...],
         see: Callable[[Camera, View], Prepared],
         cache_gib: float,
+        folder: Path | None = None,
         exposures: Exposures | None = None,
     ) -> None:
         self.exposures = exposures
         self.scene, self.views, self.see = scene, views, see
-        self._free = int(cache_gib * GIB)
-        self._cache: dict[int, Example] = {}
+        self._shelf: Shelf[Example] = Shelf(cache_gib, folder)
 
     def __len__(self) -> int:
         return len(self.views)
@@ -75,7 +76,7 @@ class Views:
     @property
     def nbytes(self) -> int:
         """Memory held by what is kept, bytes."""
-        return sum(example.nbytes for example in self._cache.values())
+        return self._shelf.nbytes
 
     @property
     def masked(self) -> bool:
@@ -88,13 +89,12 @@ class Views:
 
     def frame(self, i: int) -> Example:
         """The whole frame of view i."""
-        if i in self._cache:
-            return self._cache[i]
+        kept = self._shelf.get(i)
+        if kept is not None:
+            return kept
         view = self.views[i]
         example = self._example(view, view.camera, *self._load(view))
-        if example.nbytes <= self._free:
-            self._free -= example.nbytes
-            self._cache[i] = example
+        self._shelf.put(i, example, example.nbytes)
         return example
 
     def spread(self, count: int) -> Iterator[Example]:
