@@ -135,7 +135,12 @@ ZOOM = click.FloatRange(min=0, min_open=True)
     "--bf16/--no-bf16", default=None, help="bfloat16 network and loss  [default: where it is faster here]"
 )
 @threads_option
-@click.option("--cache", "cache_gib", type=click.FloatRange(min=0), help="Memory for fragments, GiB.")
+@click.option(
+    "--cache",
+    "cache_gib",
+    type=click.FloatRange(min=0),
+    help="Memory for what views show, GiB; disk takes the rest.",
+)
 @overwrite_option
 @click.option(
     "--resume", "resuming", is_flag=True, help="Go on with an interrupted run, with its own options."

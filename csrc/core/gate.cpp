@@ -3,6 +3,7 @@
 #include <bit>
 #include <cmath>
 
+#include "core/bfloat.h"
 #include "core/parallel.h"
 #include "core/vectors.h"
 
@@ -45,8 +46,8 @@ NMBG_INLINE void forward_any(const T* x, int64_t begin, int64_t end, int channel
         T* to = out + channels * pixel;
 #pragma omp simd
         for (int c = 0; c < channels; ++c) {
-            const Gate<T> gate(value[c], opening[c]);
-            to[c] = gate.value * gate.open;
+            const Gate gate(number_of(value[c]), number_of(opening[c]));
+            put(gate.value * gate.open, to[c]);
         }
     }
 }
@@ -60,9 +61,10 @@ NMBG_INLINE void backward_any(const T* x, const T* grad_out, int64_t begin, int6
         T *to_value = grad + 2 * channels * pixel, *to_opening = to_value + channels;
 #pragma omp simd
         for (int c = 0; c < channels; ++c) {
-            const Gate<T> gate(value[c], opening[c]);
-            to_value[c] = down[c] * gate.open * gate.slope;
-            to_opening[c] = down[c] * gate.value * (gate.open * (1 - gate.open));
+            const Gate gate(number_of(value[c]), number_of(opening[c]));
+            const auto g = number_of(down[c]);
+            put(g * gate.open * gate.slope, to_value[c]);
+            put(g * gate.value * (gate.open * (1 - gate.open)), to_opening[c]);
         }
     }
 }
@@ -70,11 +72,18 @@ NMBG_INLINE void backward_any(const T* x, const T* grad_out, int64_t begin, int6
 NMBG_WIDEST void forward(const float* x, int64_t begin, int64_t end, int channels, float* out) {
     forward_any(x, begin, end, channels, out);
 }
+NMBG_WIDEST void forward(const Bfloat* x, int64_t begin, int64_t end, int channels, Bfloat* out) {
+    forward_any(x, begin, end, channels, out);
+}
 void forward(const double* x, int64_t begin, int64_t end, int channels, double* out) {
     forward_any(x, begin, end, channels, out);
 }
 NMBG_WIDEST void backward(const float* x, const float* grad_out, int64_t begin, int64_t end, int channels,
                           float* grad) {
+    backward_any(x, grad_out, begin, end, channels, grad);
+}
+NMBG_WIDEST void backward(const Bfloat* x, const Bfloat* grad_out, int64_t begin, int64_t end, int channels,
+                          Bfloat* grad) {
     backward_any(x, grad_out, begin, end, channels, grad);
 }
 void backward(const double* x, const double* grad_out, int64_t begin, int64_t end, int channels,
@@ -98,7 +107,9 @@ void gate_backward(const T* x, const T* grad_out, int64_t pixels, int channels, 
 
 template void gate(const float*, int64_t, int, int, float*);
 template void gate(const double*, int64_t, int, int, double*);
+template void gate(const Bfloat*, int64_t, int, int, Bfloat*);
 template void gate_backward(const float*, const float*, int64_t, int, int, float*);
 template void gate_backward(const double*, const double*, int64_t, int, int, double*);
+template void gate_backward(const Bfloat*, const Bfloat*, int64_t, int, int, Bfloat*);
 
 }  // namespace nmbg

@@ -5,6 +5,8 @@
 
 namespace nmbg {
 
+// T: float, double, or Bfloat, of which each number is computed in float and rounded once.
+
 // x [pixels, 2 channels], values before gates → out [pixels, channels] = elu(value) · sigmoid(gate).
 template <class T>
 void gate(const T* x, int64_t pixels, int channels, int threads, T* out);

@@ -156,11 +156,17 @@ def test_same_seed_same_run_and_another_seed_another(scene_folder: Path, tmp_pat
     assert not torch.equal(runs[0][key], runs[2][key])
 
 
-def test_without_a_cache_the_numbers_are_the_same(scene_folder: Path, tmp_path: Path) -> None:
-    scene = Scene.load(scene_folder)
-    cached = state(train(scene, SMALL["mesh"], tmp_path / "cached"))
-    anew = state(train(scene, replace(SMALL["mesh"], cache_gib=0.0), tmp_path / "anew"))
-    for key, tensor in cached.items():
+@pytest.mark.parametrize("preset", ["mesh", "nmbg"])
+def test_numbers_are_the_same_kept_in_memory_or_on_disk_or_made_anew(
+    scene_folder: Path, tmp_path: Path, preset: str
+) -> None:
+    scene, on_disk = Scene.load(scene_folder), 1e-9
+    kept, mapped, anew = (
+        state(train(scene, replace(SMALL[preset], cache_gib=gib), tmp_path / str(gib)))
+        for gib in (1.0, on_disk, 0.0)
+    )
+    for key, tensor in kept.items():
+        assert torch.equal(tensor, mapped[key]), key
         assert torch.equal(tensor, anew[key]), key
 
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-_DTYPES = (torch.float32, torch.float64, torch.int32, torch.int64, torch.uint8)
+_DTYPES = (torch.float32, torch.float64, torch.int32, torch.int64, torch.uint8, torch.uint16)
 
 
 def array(name: str, tensor: Tensor) -> npt.NDArray[Any]:

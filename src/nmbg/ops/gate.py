@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy.typing as npt
 import torch  # before nmbg._core: the process then has the one OpenMP runtime of torch
 from torch import Tensor
 
@@ -12,9 +13,10 @@ from nmbg.ops import reference
 from nmbg.ops._arrays import array
 
 
-def _pixels(x: Tensor) -> Tensor:
-    """[B, C, H, W] as [B·H·W, C]: the channels of a pixel next to each other."""
-    return x.permute(0, 2, 3, 1).reshape(-1, x.shape[1])
+def _pixels(name: str, x: Tensor) -> npt.NDArray[Any]:
+    """[B, C, H, W] as [B·H·W, C]: the channels of a pixel next to each other; of bfloat16 the bits."""
+    pixels = x.detach().permute(0, 2, 3, 1).reshape(-1, x.shape[1])
+    return array(name, pixels.view(torch.uint16) if x.dtype == torch.bfloat16 else pixels)
 
 
 def _like(x: Tensor, channels: int) -> Tensor:
@@ -25,7 +27,7 @@ def _like(x: Tensor, channels: int) -> Tensor:
 @torch.library.custom_op("nmbg::gate", mutates_args=(), device_types="cpu")
 def _gate(x: Tensor) -> Tensor:
     out = _like(x, x.shape[1] // 2)
-    _core.gate(array("x", _pixels(x)), array("out", _pixels(out)), torch.get_num_threads())
+    _core.gate(_pixels("x", x), _pixels("out", out), torch.get_num_threads())
     return out
 
 
@@ -37,8 +39,8 @@ def _(x: Tensor) -> Tensor:
 @torch.library.custom_op("nmbg::gate_backward", mutates_args=(), device_types="cpu")
 def _gate_backward(grad_out: Tensor, x: Tensor) -> Tensor:
     grad = _like(x, x.shape[1])
-    down = array("grad_out", _pixels(grad_out))
-    _core.gate_backward(array("x", _pixels(x)), down, array("grad", _pixels(grad)), torch.get_num_threads())
+    parts = _pixels("x", x), _pixels("grad_out", grad_out), _pixels("grad", grad)
+    _core.gate_backward(*parts, torch.get_num_threads())
     return grad
 
 
@@ -64,7 +66,8 @@ def gate(x: Tensor) -> Tensor:  # [B, 2C, H, W] -> [B, C, H, W]
     """ELU(value) · sigmoid(gate), in one pass forward and one back; only `x` is kept between them.
 
     Args:
-        x: [B, 2C, H, W] float32 or float64: C values, then C gates; fastest in channels_last.
+        x: [B, 2C, H, W] float32, float64 or bfloat16: C values, then C gates; fastest in channels_last.
+            Of bfloat16, each number is computed in float32 and rounded once.
 
     Returns:
         [B, C, H, W] in the dtype of `x`, channels_last; differentiable.
@@ -72,7 +75,7 @@ def gate(x: Tensor) -> Tensor:  # [B, 2C, H, W] -> [B, C, H, W]
     Raises:
         ValueError: an odd number of channels.
     """
-    if x.device.type != "cpu" or x.dtype not in (torch.float32, torch.float64):
-        return reference.gate(x)  # plain torch, for other devices and under autocast
+    if x.device.type != "cpu" or x.dtype not in (torch.float32, torch.float64, torch.bfloat16):
+        return reference.gate(x)  # plain torch, for other devices
     out: Tensor = _gate(x)
     return out

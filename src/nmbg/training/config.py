@@ -81,7 +81,7 @@ class TrainConfig:
         seed: seeds weights, the order of views and the random windows.
         device: "cpu" or "cuda".
         bf16: run the network and the loss in bfloat16.
-        cache_gib: memory for fragments and images of training views, GiB.
+        cache_gib: memory for fragments and images of training views, GiB; disk takes the rest.
     """
 
     preset: str

@@ -55,7 +55,7 @@ class Shelf(Generic[Thing]):
             try:
                 if nbytes > shutil.disk_usage(self._folder).free // 2:
                     return
-                file = self._open.enter_context(tempfile.TemporaryFile(dir=self._folder))
+                file = self._open.enter_context(tempfile.TemporaryFile(dir=self._folder))  # noqa: SIM115
                 torch.save(thing, file)
                 file.flush()
             except OSError:  # a disk that has filled up is no reason to end
