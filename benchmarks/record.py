@@ -21,8 +21,9 @@ keep_freed_memory()
 
 
 def command() -> str:
-    """The command line that this runs under."""
-    return " ".join(["python", *sys.argv])
+    """The command line that this runs under, from the project's root."""
+    script, *rest = sys.argv
+    return " ".join(["python", f"benchmarks/{Path(script).name}", *rest])
 
 
 def provenance() -> dict[str, Any]:
