@@ -12,6 +12,7 @@ from typing import IO, Any, Generic, TypeVar
 import torch
 
 GIB = 2**30
+SPARE = 4 * GIB  # of the disk, left to others
 FILES = 512  # at most, of the thousand that a process may commonly have open
 
 Thing = TypeVar("Thing")
@@ -25,8 +26,7 @@ class Shelf(Generic[Thing]):
 
     Args:
         memory_gib: memory for things, GiB; with 0 nothing is kept, on disk neither.
-        folder: on the disk that takes what is beyond that, as long as a thing takes less than half of what is
-            free; None for memory alone.
+        folder: on the disk that takes what is beyond that; None for memory alone.
     """
 
     def __init__(self, memory_gib: float, folder: Path | None = None) -> None:
@@ -53,7 +53,7 @@ class Shelf(Generic[Thing]):
             self._kept[key] = thing
         elif self._folder is not None and len(self._files) < FILES:
             try:
-                if nbytes > shutil.disk_usage(self._folder).free // 2:
+                if shutil.disk_usage(self._folder).free - nbytes < SPARE:
                     return
                 file = self._open.enter_context(tempfile.TemporaryFile(dir=self._folder))  # noqa: SIM115
                 torch.save(thing, file)
