@@ -92,17 +92,22 @@ def _parts(scene: Scene, views: dict[str, dict[str, float]]) -> dict[str, dict[s
     }
 
 
+def _processors(rows: dict[str, list[dict[str, Any]]]) -> str:
+    """A sweep may go on with another one: where its runs were made."""
+    return " and ".join(sorted({record["machine"]["cpu"] for runs in rows.values() for record in runs}))
+
+
 def _table(results: dict[str, Any]) -> str:
     lines = [
         f"Held-out views after {results['minutes']:.3g} minutes a rung, in float32; mean ± half the range of "
         "the seeds. L_rec up to relu3_1, that of `paper` too; LPIPS of SqueezeNet; training PSNR over "
         f"{TRAINING_VIEWS} views. `before`: without what docs/quality.md describes. "
-        f"{results['machine']['cpu']}, {results['machine']['threads']} threads."
+        f"{results['machine']['threads']} threads."
     ]
     for scene, rows in results["scenes"].items():
         lines += [
             "",
-            f"**{scene}**, {results['sizes'][scene][0]} × {results['sizes'][scene][1]}",
+            f"**{scene}**, {results['sizes'][scene][0]} × {results['sizes'][scene][1]}, {_processors(rows)}",
             "",
             "| rung | seeds | PSNR | SSIM | SSIM (SVS) | LPIPS | PSNR, training | steps | ms / frame |",
             "|---|---|---|---|---|---|---|---|---|",
