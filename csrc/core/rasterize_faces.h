@@ -25,10 +25,10 @@ struct FacesResult {
     T* depth;       // [pixels] view-space z, or 0
 };
 
-// h, faces → boxes of pixels → lists of faces per tile → per tile, in ascending order of face: test the
-// three edges, keep the nearest z. Homogeneous edges (Olano and Greer, "Triangle scan conversion using 2D
-// homogeneous coordinates", 1997) need no clipping: the part of a face in front of the camera is drawn.
-// Throws std::invalid_argument where a face names a vertex that is not there.
+// h, faces → boxes of pixels → lists of faces per tile → per tile, nearer ones first: test the three edges,
+// keep the nearest z, of equal ones the lowest face. Homogeneous edges (Olano and Greer, "Triangle scan
+// conversion using 2D homogeneous coordinates", 1997) need no clipping: the part of a face in front of the
+// camera is drawn. Throws std::invalid_argument where a face names a vertex that is not there.
 template <class T>
 void rasterize_faces(const FacesView<T>& view, const FacesResult<T>& out);
 

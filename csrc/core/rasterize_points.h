@@ -16,7 +16,8 @@ struct PointsView {
     int threads;
 };
 
-// h → discs and the tiles they touch → per tile, in ascending order of point: test, keep the nearest z.
+// h → discs and the tiles they touch → per tile, nearer ones first: test, keep the nearest z, of equal ones
+// the lowest point.
 //   index [pixels of all levels]: the point, or -1
 //   dist2 [pixels of all levels]: squared distance in px² from the projected point to the pixel centre, or 0
 template <class T>
