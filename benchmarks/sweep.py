@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import shutil
@@ -54,8 +55,15 @@ class Job:
 
     @property
     def name(self) -> str:
-        """The scene's, and what was done to it."""
-        return self.scene.name if self.stressed is None else f"{self.scene.name}-{self.stressed.key}"
+        """The scene's with its size, and what was done to it."""
+        name = f"{self.scene.name}-{_size(self.scene)}"
+        return name if self.stressed is None else f"{name}-{self.stressed.key}"
+
+
+@functools.cache
+def _size(scene: Path) -> str:
+    camera = Scene.load(scene).views[0].camera
+    return f"{camera.width}x{camera.height}"
 
 
 def _given(value: Any) -> Any:
