@@ -55,6 +55,15 @@ def test_the_last_of_a_disk_is_left_alone(tmp_path: Path, monkeypatch: pytest.Mo
     assert [kept.get(i) is not None for i in range(6)] == [True] * 4 + [False] * 2
 
 
+def test_all_shelves_together_keep_few_files_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shelf, "FILES", len(shelf._open_files) + 3)
+    shelves: list[Shelf[dict[str, Tensor]]] = [Shelf(1 / GIB, tmp_path) for _ in range(2)]
+    for i in range(3):
+        for kept in shelves:
+            kept.put(i, thing(i), ONE)
+    assert sum(kept.get(i) is not None for kept in shelves for i in range(3)) == 3
+
+
 def test_a_full_disk_ends_the_keeping_and_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,7 +13,8 @@ import torch
 
 GIB = 2**30
 SPARE = 4 * GIB  # of the disk, left to others
-FILES = 512  # at most, of the thousand that a process may commonly have open
+FILES = 512  # at most, on all shelves, of the thousand that a process may commonly have open
+_open_files: weakref.WeakSet[IO[bytes]] = weakref.WeakSet()
 
 Thing = TypeVar("Thing")
 
@@ -51,11 +52,12 @@ class Shelf(Generic[Thing]):
         if self.nbytes + nbytes <= self._memory:
             self.nbytes += nbytes
             self._kept[key] = thing
-        elif self._folder is not None and len(self._files) < FILES:
+        elif self._folder is not None and len(_open_files) < FILES:
             try:
                 if shutil.disk_usage(self._folder).free - nbytes < SPARE:
                     return
                 file = self._open.enter_context(tempfile.TemporaryFile(dir=self._folder))  # noqa: SIM115
+                _open_files.add(file)
                 torch.save(thing, file)
                 file.flush()
             except OSError:  # a disk that has filled up is no reason to end
