@@ -34,8 +34,8 @@ void place(const Points<float>& points, int n, double radius, const Level& level
 void place(const Points<double>& points, int n, double radius, const Level& level, const Cells* hidden,
            Places& out);
 
-// Draws the discs of points into the tile `box` of a level, and writes its pixels: index
-// and dist2 as for rasterize_points().
+// Draws the discs of points into the tile `box` of a level, and writes its pixels: index and dist2 as for
+// rasterize_points().
 void draw_discs(const PointsView<float>& view, const Level& level, const PixelBox& box, std::span<Run> runs,
                 int32_t* index, float* dist2);
 void draw_discs(const PointsView<double>& view, const Level& level, const PixelBox& box, std::span<Run> runs,

@@ -114,9 +114,7 @@ NMBG_INLINE void draw_any_discs(const PointsView<T>& view, const Level& level, c
             }
         }
     };
-    if (!runs.empty())
-        front_to_back(
-            runs, [&]() NMBG_INLINE_LAMBDA { return greatest_of_all<V>(nearest); }, ask, fetch, draw);
+    front_to_back(runs, [&]() NMBG_INLINE_LAMBDA { return greatest_of_all<V>(nearest); }, ask, fetch, draw);
 
     for (int32_t y = tile.y0; y < tile.y1; ++y) {
         const int64_t pixel = level.first_pixel + int64_t{y} * level.width + tile.x0;

@@ -28,7 +28,6 @@ template <class V, class E>
 NMBG_INLINE V gather(const E* from, const i32x8& at) {
 #ifdef NMBG_AVX2
     if constexpr (std::is_same_v<E, float>) return (V)_mm256_i32gather_ps(from, (__m256i)at, 4);
-    if constexpr (std::is_same_v<E, int32_t>) return (V)_mm256_i32gather_epi32(from, (__m256i)at, 4);
 #endif
     return V{from[at[0]], from[at[1]], from[at[2]], from[at[3]],
              from[at[4]], from[at[5]], from[at[6]], from[at[7]]};

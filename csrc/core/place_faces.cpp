@@ -1,6 +1,5 @@
 #include "core/place_faces.h"
 
-#include <cmath>
 #include <limits>
 
 #define NMBG_FILE "core/place_faces.inl"

@@ -11,7 +11,8 @@ NMBG_INLINE PixelBox around(const Box<i32x8>& box, const i32x8& drawn) {
 
 // Writes the places of items i to i + 7.
 //   box: pixels that they may cover; unknown: whether that is not known
-//   missed(): whether they cover none for all that; nearest(): as in Places; both asked where it matters
+//   missed(): whether they cover none for all that; nearest(): as in Places; asked where it matters, in this
+//   order
 template <class Missed, class Nearest>
 NMBG_INLINE void store_places(const Box<i32x8>& box, const i32x8& unknown, const Missed& missed,
                               const Nearest& nearest, const Tiling& tiling, int i, Places& out) {

@@ -29,6 +29,7 @@ NMBG_INLINE float about_median(std::span<const Run> runs) {
 template <class Deepest, class Ask, class Fetch, class Draw>
 NMBG_INLINE void front_to_back(std::span<Run> runs, const Deepest& deepest, const Ask& ask,
                                const Fetch& fetch, const Draw& draw) {
+    if (runs.empty()) return;
     int32_t items[2][wide], singles[wide];
     int n = 0, now = 0;
     bool waiting = false;
