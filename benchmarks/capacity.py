@@ -21,7 +21,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 import click
 from options import output_option, scenes_argument, weights_option
 from record import cell, command, provenance, write
-from sweep import METRICS, Job, Sweep
+from sweep import METRICS, Job, Sweep, trained_for
 from timing import alternate
 
 from nmbg.capacity.cost import multiply_adds
@@ -30,7 +30,6 @@ from nmbg.evaluation.cost import run_bytes
 from nmbg.evaluation.evaluate import evaluate
 from nmbg.scene import Scene
 from nmbg.training.checkpoint import load_run
-from nmbg.training.config import PRESETS, TrainConfig
 
 
 @click.command()
@@ -54,12 +53,12 @@ def main(
 ) -> None:
     """Train both sizes of every scene, export the small one, judge and time them; write capacity.md."""
     steps, seeds = (60, 1) if quick else (steps, seeds)
-    budget: dict[str, Any] = {"minutes": minutes if steps is None else None, "iterations": steps}
+    budget = {"minutes": minutes if steps is None else None, "iterations": steps}
     sweep = Sweep(output, weights)
     rows: list[dict[str, Any]] = []
     for scene in scenes:
         for seed in range(seeds):
-            full: TrainConfig = replace(PRESETS["nmbg"], seed=seed, **budget)
+            full = trained_for("nmbg", budget["minutes"], seed, steps)
             jobs = [Job(scene, full), Job(scene, replace(full, capacity="auto"))]
             sweep.measure(jobs, split=False)
             runs = [sweep.folder(job) for job in jobs]

@@ -99,9 +99,9 @@ def _processors(rows: dict[str, list[dict[str, Any]]]) -> str:
 
 def _table(results: dict[str, Any]) -> str:
     lines = [
-        f"Held-out views after {results['minutes']:.3g} minutes a rung, in float32; mean ± half the range of "
-        "the seeds. L_rec up to relu3_1, that of `paper` too; LPIPS of SqueezeNet; training PSNR over "
-        f"{TRAINING_VIEWS} views. `before`: without what docs/quality.md describes. "
+        f"Held-out views after {results['minutes']:.3g} minutes a rung, networks in bfloat16; mean ± half of "
+        "the range of the seeds. L_rec up to relu3_1, that of `paper` too; LPIPS of SqueezeNet; training "
+        f"PSNR over {TRAINING_VIEWS} views. `before`: without what docs/quality.md describes. "
         f"{results['machine']['threads']} threads."
     ]
     for scene, rows in results["scenes"].items():

@@ -78,7 +78,7 @@ VARIANTS = {
     "nmbg-degree-1": Variant("nmbg", {"degree": 1}),
     "nmbg-vertices-1/4": Variant("nmbg", scene={"vertices": 0.25}),
     "nmbg-images-1/2": Variant("nmbg", scene={"images": 0.5}),
-    "nmbg-bf16": Variant("nmbg", train={"bf16": True}),
+    "nmbg-float32": Variant("nmbg", train={"bf16": False}),
 }
 
 

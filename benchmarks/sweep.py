@@ -174,7 +174,11 @@ def _scene(job: Job, folder: Path) -> Iterator[Scene]:
 def trained_for(
     preset: str, minutes: float | None, seed: int = 0, iterations: int | None = None, **changes: Any
 ) -> TrainConfig:
-    """A preset with a budget in minutes or steps; L_rec, where there is one, up to relu3_1: rungs compare."""
+    """A preset with a budget in minutes or steps.
+
+    L_rec, where there is one, is up to relu3_1, so that rungs compare. Networks are in bfloat16, which
+    `nmbg train` chooses where it is faster: a sweep may go on where another processor would choose otherwise.
+    """
     config = PRESETS[preset]
     perceptual = "none" if config.perceptual == "none" else VGG_TO_RELU3
     if not config.stages:
@@ -186,7 +190,7 @@ def trained_for(
         iterations=iterations,
         perceptual=perceptual,
         seed=seed,
-        **changes,
+        **{"bf16": bool(config.model.widths), **changes},
     )
 
 

@@ -100,7 +100,7 @@ def _counted(
     run = output / "work" / name
     threads = max(1, torch.get_num_threads() // processes)
     launcher = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes))
-    options = ("--epochs", epochs, "--seed", seed, "--no-bf16", "--overwrite", "--output", run)
+    options = ("--epochs", epochs, "--seed", seed, "--bf16", "--overwrite", "--output", run)
     subprocess.run(
         [sys.executable, *launcher, "-m", "nmbg", "train", *map(str, (*scenes, *options))],
         env={**os.environ, "OMP_NUM_THREADS": str(threads)},
