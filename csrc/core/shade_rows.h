@@ -6,13 +6,14 @@
 #include <span>
 
 #include "core/check.h"
+#include "core/portable.h"
 #include "core/shade.h"
 
 namespace nmbg {
 
 // Writes the vertices under a pixel; false where it is empty.
 template <int K, class T>
-bool corners(const Shading<T>& s, int64_t pixel, std::array<int32_t, K>& vertex) {
+NMBG_INLINE bool corners(const Shading<T>& s, int64_t pixel, std::array<int32_t, K>& vertex) {
     const int32_t i = checked("index", s.index[pixel], -1, K == 1 ? s.vertices : s.face_count);
     if (i < 0) return false;
     if constexpr (K == 1)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from nmbg.ops import project, reference
+from nmbg.ops import pixel_rays, project, reference
 
 Array = npt.NDArray[np.float64]
 
@@ -122,14 +122,8 @@ class Camera:
 
     def rays(self, dtype: torch.dtype = torch.float32) -> Tensor:
         """Unit world-space directions through the pixel centres, [H, W, 3]."""
-        x = torch.arange(self.width, dtype=torch.float64) + 0.5
-        y = torch.arange(self.height, dtype=torch.float64) + 0.5
         M = torch.from_numpy(self.R.T @ np.linalg.inv(self.K))
-        # What all pixels share is computed in float64; a sum and a division per pixel are left.
-        rows = (M[:, 2] + y[:, None] * M[:, 1]).to(dtype)
-        columns = (x[:, None] * M[:, 0]).to(dtype)
-        d = rows[:, None] + columns
-        return d.div_(torch.linalg.vector_norm(d, dim=-1, keepdim=True))
+        return pixel_rays(M, self.height, self.width, dtype)
 
 
 def nearest_point_to_axes(cameras: list[Camera]) -> Array:

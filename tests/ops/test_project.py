@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from nmbg.ops import project, reference
+from nmbg.ops import pixel_rays, project, reference
 
 
 def matrix() -> Tensor:
@@ -38,3 +38,39 @@ def test_bad_input():
         project(torch.zeros(4, 2), matrix())
     with pytest.raises(TypeError, match="P: expected float64"):
         project(torch.zeros(4, 3), matrix().float())
+
+
+INVERSE = torch.tensor([[0.002, 1e-4, -0.6], [-2e-4, 0.0019, -0.5], [1e-5, -3e-5, 1.1]], dtype=torch.float64)
+
+
+@pytest.mark.parametrize(("dtype", "error"), [(torch.float32, 3e-7), (torch.float64, 1e-15)])
+@pytest.mark.parametrize("size", [(1, 1), (3, 17), (120, 64), (9, 501)])
+def test_rays_agree_with_the_twin(dtype, error, size):
+    rays = pixel_rays(INVERSE, *size, dtype)
+    assert rays.shape == (*size, 3)
+    assert rays.dtype == dtype
+    twin = reference.pixel_rays(INVERSE, *size, torch.float64)
+    torch.testing.assert_close(rays.double(), twin, rtol=0, atol=error)
+
+
+def test_rays_do_not_depend_on_threads():
+    before = torch.get_num_threads()
+    try:
+        found = []
+        for threads in (1, 2, 5):
+            torch.set_num_threads(threads)
+            found.append(pixel_rays(INVERSE, 37, 91))
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.equal(found[0], other) for other in found[1:])
+
+
+def test_rays_of_bad_input():
+    with pytest.raises(ValueError, match=r"M: expected shape \[3, 3\]"):
+        pixel_rays(INVERSE[:2], 4, 4)
+    with pytest.raises(TypeError, match="M: expected float64"):
+        pixel_rays(INVERSE.float(), 4, 4)
+    with pytest.raises(TypeError, match="dtype: expected float32 or float64"):
+        pixel_rays(INVERSE, 4, 4, torch.float16)
+    with pytest.raises(ValueError, match="height"):
+        pixel_rays(INVERSE, 0, 4)

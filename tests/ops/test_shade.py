@@ -28,7 +28,7 @@ def coefficients(basis: int, channels: int, dtype: torch.dtype, vertices: int = 
 
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("basis", [1, 4, 9])
-@pytest.mark.parametrize("channels", [1, 3, 8])
+@pytest.mark.parametrize("channels", [1, 3, 8, 12])
 def test_agrees_with_the_twin(assert_same, unit_rays, dtype, basis, channels):
     index, weight, face, bary, table = fragments(basis, dtype)
     rays, coeffs = unit_rays(1, H, W, dtype), coefficients(basis, channels, dtype)

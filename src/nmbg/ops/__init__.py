@@ -3,7 +3,7 @@
 from nmbg.ops.adam import adam_rows
 from nmbg.ops.blend import Blend, blend_photos, mip_chain
 from nmbg.ops.gate import gate
-from nmbg.ops.project import project
+from nmbg.ops.project import pixel_rays, project
 from nmbg.ops.rasterize import (
     FaceHits,
     PointHits,
@@ -22,6 +22,7 @@ __all__ = [
     "blend_photos",
     "gate",
     "mip_chain",
+    "pixel_rays",
     "project",
     "rasterize_faces",
     "rasterize_faces_pyramid",

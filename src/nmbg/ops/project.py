@@ -1,4 +1,4 @@
-"""Projection of world points into homogeneous pixels."""
+"""Projection of world points into homogeneous pixels, and the rays of pixels back into the world."""
 
 from __future__ import annotations
 
@@ -50,3 +50,32 @@ def project(
     """
     h: Tensor = _project(points, P)
     return h
+
+
+def pixel_rays(
+    M: Tensor,  # [3, 3]
+    height: int,
+    width: int,
+    dtype: torch.dtype = torch.float32,
+) -> Tensor:  # [H, W, 3]
+    """Unit vectors along M · (x + ½, y + ½, 1) of all pixels (x, y) of an image; not differentiable.
+
+    What a row or a column of the image shares is computed in float64 and rounded; a sum and a division per
+    pixel are left.
+
+    Args:
+        M: [3, 3] float64, on the CPU.
+        height: of the image, pixels.
+        width: of the image, pixels.
+        dtype: float32 or float64.
+
+    Returns:
+        [H, W, 3] in that dtype.
+
+    Raises:
+        TypeError, ValueError: an argument of another dtype, shape or range than said here.
+    """
+    if dtype not in (torch.float32, torch.float64):
+        raise TypeError(f"dtype: expected float32 or float64, got {dtype}")
+    single = dtype == torch.float32
+    return torch.from_numpy(_core.rays(array("M", M), height, width, single, torch.get_num_threads()))

@@ -53,6 +53,13 @@ def project(points: Tensor, P: Tensor) -> Tensor:
     return torch.addmm(P[:, 3], points.double(), P[:, :3].T).to(points.dtype)
 
 
+def pixel_rays(M: Tensor, height: int, width: int, dtype: torch.dtype = torch.float32) -> Tensor:
+    """See nmbg.ops.pixel_rays(); not rounded on the way."""
+    y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+    pixels = torch.stack([x, y, torch.ones_like(x)], -1).double()
+    return torch.nn.functional.normalize(pixels @ M.T, dim=-1).to(dtype)
+
+
 def rasterize_points(h: Tensor, radius_px: float, height: int, width: int) -> PointHits:
     """See nmbg.ops.rasterize_points()."""
     x, y = _centres(height, width, h)
