@@ -31,10 +31,11 @@ NMBG_INLINE void contract(const T* const* rows, const T* weight, const T* Y, int
         for (int b = 1; b < B; ++b) sum += Y[b * strip] * mixed<K>(rows, weight, b * channels + c);
         store(sum, feature + c);
     };
-    int c = 0;
-    for (; c + wide <= channels; c += wide) eight_channels(c);
-    if (c < channels && channels > wide) return eight_channels(channels - wide);  // some once more
-    for (; c < channels; ++c) {
+    if (channels >= wide) {
+        for (int c = 0; c < channels - wide; c += wide) eight_channels(c);
+        return eight_channels(channels - wide);  // overlaps the one before, with the same numbers
+    }
+    for (int c = 0; c < channels; ++c) {
         feature[c] = 0;
         for (int b = 0; b < B; ++b) {
             T sum = weight[0] * rows[0][b * channels + c];
@@ -61,7 +62,7 @@ NMBG_INLINE void shade_strips(const Shading<T>& s, int64_t begin, int64_t end, T
     const int channels = C ? C : s.channels, size = B * channels;
     std::vector<T> buffer(strip * channels);
     T* features = buffer.data();
-    const T* rows[ahead][K];
+    const T* rows[ahead][K];  // of the pixels that follow; the first is null where one is empty
     const auto ask = [&](int64_t pixel) NMBG_INLINE_LAMBDA {
         if (K > 1 && pixel + ahead < end) __builtin_prefetch(s.faces + K * int64_t{s.index[pixel + ahead]});
         std::array<int32_t, K> vertex{};
@@ -134,7 +135,7 @@ NMBG_INLINE void add_rows(const Shading<T>& s, const T* grad, std::span<const in
 
 // Calls body.template operator()<C>() for the number of channels; 0 where it is not one of the common ones.
 template <class Body>
-NMBG_INLINE void specialise(int channels, const Body& body) {
+NMBG_INLINE void with_channels(int channels, const Body& body) {
     switch (channels) {
         case 3:
             return body.template operator()<3>();
@@ -147,13 +148,13 @@ NMBG_INLINE void specialise(int channels, const Body& body) {
 
 template <int K, int B, class T>
 NMBG_INLINE void shade_any_pixels(const Shading<T>& s, int64_t begin, int64_t end, T* out) {
-    specialise(s.channels, [&]<int C>() { shade_strips<K, B, C>(s, begin, end, out); });
+    with_channels(s.channels, [&]<int C>() { shade_strips<K, B, C>(s, begin, end, out); });
 }
 
 template <int K, int B, class T>
 NMBG_INLINE void add_any_pixels(const Shading<T>& s, const T* grad, std::span<const int32_t> pixels,
                                 int64_t first, int64_t end, T* grad_coeffs) {
-    specialise(s.channels, [&]<int C>() { add_rows<K, B, C>(s, grad, pixels, first, end, grad_coeffs); });
+    with_channels(s.channels, [&]<int C>() { add_rows<K, B, C>(s, grad, pixels, first, end, grad_coeffs); });
 }
 
 template <int K, int B>

@@ -53,16 +53,10 @@ def test_rays_agree_with_the_twin(dtype, error, size):
     torch.testing.assert_close(rays.double(), twin, rtol=0, atol=error)
 
 
-def test_rays_do_not_depend_on_threads():
-    before = torch.get_num_threads()
-    try:
-        found = []
-        for threads in (1, 2, 5):
-            torch.set_num_threads(threads)
-            found.append(pixel_rays(INVERSE, 37, 91))
-    finally:
-        torch.set_num_threads(before)
-    assert all(torch.equal(found[0], other) for other in found[1:])
+def test_rays_do_not_depend_on_threads(each_thread_count):
+    first, *others = each_thread_count(lambda: [pixel_rays(INVERSE, 37, 91)])
+    assert others
+    assert all(torch.equal(first[0], other[0]) for other in others)
 
 
 def test_rays_of_bad_input():
