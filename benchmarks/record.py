@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 import torch
@@ -14,10 +15,23 @@ import torch
 from nmbg import __version__
 from nmbg.allocator import keep_freed_memory
 from nmbg.atomic import atomic_file
+from nmbg.errors import NmbgError
 from nmbg.evaluation.machine import machine
 
 os.environ.setdefault("THP_MEM_ALLOC_ENABLE", "1")  # as the command line does
 keep_freed_memory()
+
+
+def _tell(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """What a user did wrong ends a benchmark as it ends the command line."""
+    if not isinstance(error, NmbgError):
+        sys.__excepthook__(kind, error, trace)
+        return
+    print("error:", error, file=sys.stderr)
+    sys.exit(2)
+
+
+sys.excepthook = _tell
 
 
 def command() -> str:
