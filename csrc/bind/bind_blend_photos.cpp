@@ -95,17 +95,20 @@ Arguments arguments_of(const py::array& depth, const py::array& warps, const py:
     return {depth, warps, intrinsics, focal, photos, photo_depths, {keep, angle, tolerance, border}, threads};
 }
 
-// `each`: whether the colours of the single sources are wanted too.
-py::object forward(const Arguments& arguments, bool each) {
+// `each`: whether what the single sources show is wanted too; `which`: whether it is wanted which they are.
+py::object forward(const Arguments& arguments, bool each, bool which) {
     return with_types_of(arguments, [&]<class T, class Texel>() -> py::object {
         const Blending<T, Texel> blending = arguments.checked<T, Texel>();
         const py::ssize_t H = arguments.height(), W = arguments.width(), keep = arguments.rule.keep;
         py::array_t<T> colour({py::ssize_t{3}, H, W}), weight({H, W}), variance({H, W}),
-            weights({keep, H, W}), shown({each ? keep : 0, py::ssize_t{3}, H, W});
-        py::array_t<int32_t> sources({H, W, keep + 1});
-        const BlendResult<T> out{colour.mutable_data(),   weight.mutable_data(),
-                                 variance.mutable_data(), sources.mutable_data(),
-                                 weights.mutable_data(),  each ? shown.mutable_data() : nullptr};
+            weights({each ? keep : 0, H, W}), shown({each ? keep : 0, py::ssize_t{3}, H, W});
+        py::array_t<int32_t> sources({H, W, which ? keep + 1 : 0});
+        const BlendResult<T> out{colour.mutable_data(),
+                                 weight.mutable_data(),
+                                 variance.mutable_data(),
+                                 which ? sources.mutable_data() : nullptr,
+                                 each ? weights.mutable_data() : nullptr,
+                                 each ? shown.mutable_data() : nullptr};
         {
             py::gil_scoped_release release;
             blend_photos(blending, out);
@@ -162,7 +165,7 @@ void bind_blend_photos(py::module_& m) {
         .def(py::init(&arguments_of), py::arg("depth"), py::arg("warps"), py::arg("intrinsics"),
              py::arg("focal"), py::arg("photos"), py::arg("photo_depths"), py::arg("keep"), py::arg("angle"),
              py::arg("tolerance"), py::arg("border"), py::arg("threads"))
-        .def("forward", &forward, py::arg("each"))
+        .def("forward", &forward, py::arg("each"), py::arg("which"))
         .def("backward", &backward, py::arg("sources"), py::arg("grad_colour"), py::arg("grad_weight"),
              py::arg("grad_variance"))
         .def("backward_texels", &backward_texels, py::arg("sources"), py::arg("grad_colour"),

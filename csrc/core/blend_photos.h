@@ -45,7 +45,8 @@ struct Blending {
 //   variance [height, width]: of the blended colours, mean over the channels
 //   sources [height, width, keep + 1]: from the best score down, or -1; the last one only sets the weights
 //   weights [keep, height, width]: sum to 1, or are 0
-//   shown [keep, 3, height, width]: the colours that the weights mix, 0 where there is none; null: not wanted
+//   shown [keep, 3, height, width]: the colours that the weights mix, 0 where there is none
+// The last three may be null: not wanted.
 template <class T>
 struct BlendResult {
     T *colour, *weight, *variance;

@@ -1,15 +1,23 @@
 #include <algorithm>
 #include <array>
+#include <bit>
 #include <vector>
 
 #include "core/blend_photos.h"
 #include "core/check.h"
+#include "core/dual.h"
 #include "core/mixture.h"
 #include "core/parallel.h"
-#include "core/photo_sight.h"
+#include "core/portable.h"
+
+#define NMBG_ISA portable
+#include "core/photo_sight.inl"
+#undef NMBG_ISA
 
 namespace nmbg {
 namespace {
+
+using namespace portable;
 
 // Calls visit(texel, weight) for the texels whose weighted sum is the colour that the photograph shows; the
 // weights sum to one.
@@ -19,7 +27,7 @@ void visit_texels(const Photo<T, Texel>& photo, const BlendRule<T>& rule, const 
     const S level = level_for(sight.finer);
     T scale = 1;
     for (MipLevel mip{photo.height, photo.width};; mip = mip.next(), scale /= 2) {
-        const S share = share_of(T(mip.index), mip.last(), level);
+        const S share = share_of(mip, level);
         if (share > S(0)) {
             const Footprint<S> four(S(scale) * sight.u, S(scale) * sight.v, mip.width, mip.height);
             const Four<S> weights =
@@ -52,7 +60,7 @@ Shown<S> show(const Photo<T, Texel>& photo, const BlendRule<T>& rule, T focal, c
         shown.colour[1] += weight * S(colour.green);
         shown.colour[2] += weight * S(colour.blue);
     });
-    for (S& c : shown.colour) c = c * S(1 / one<T, Texel>);
+    for (S& c : shown.colour) c = c * S(1 / full<T, Texel>);
     return shown;
 }
 

@@ -56,8 +56,6 @@ struct Dual {
     friend Dual log2(const Dual& a) { return a.chained(std::log2(a.value), T(1.4426950408889634) / a.value); }
 };
 
-inline float value_of(float x) { return x; }
-inline double value_of(double x) { return x; }
 template <class T, int N>
 T value_of(const Dual<T, N>& x) {
     return x.value;

@@ -1,15 +1,40 @@
-// Eight numbers at a time, and boxes of pixels. Read once per instruction set, each time into a namespace of
-// its own (each_isa.h): gcc takes such vectors apart for the set that the formula itself is compiled for, not
-// for that of the function into which it is inlined. Formulas written with select(), splat() and whole() take
-// single numbers as well.
+// Eight numbers at a time, or as many as the processor takes at once, and boxes of pixels. Read once per
+// instruction set, each time into a namespace of its own (each_isa.h): gcc takes such vectors apart for the
+// set that the formula itself is compiled for, not for that of the function into which it is inlined.
+// Formulas written with select(), splat() and whole() take single numbers as well.
 
 namespace nmbg::NMBG_ISA {
 
+template <class T, int n>
+struct VectorOf {
+    typedef T type __attribute__((vector_size(n * sizeof(T))));
+};
+template <class T, int n>
+using vector_of = typename VectorOf<T, n>::type;
+
+// How many numbers of type T the processor takes at once.
+#if defined(NMBG_AVX512)
+template <class T>
+constexpr int abreast = 64 / sizeof(T);
+#elif defined(NMBG_AVX2)
+template <class T>
+constexpr int abreast = 32 / sizeof(T);
+#else
+template <class T>
+constexpr int abreast = 16 / sizeof(T);
+#endif
+
 constexpr int wide = 8;
-using f64x8 = double __attribute__((vector_size(64)));
-using i64x8 = int64_t __attribute__((vector_size(64)));
-using f32x8 = float __attribute__((vector_size(32)));
-using i32x8 = int32_t __attribute__((vector_size(32)));
+using f64x8 = vector_of<double, wide>;
+using i64x8 = vector_of<int64_t, wide>;
+using f32x8 = vector_of<float, wide>;
+using i32x8 = vector_of<int32_t, wide>;
+
+// How many numbers a vector holds, and what they are.
+template <class V>
+using element_of = std::remove_cvref_t<decltype(V{}[0])>;
+template <class V>
+constexpr int width_of = sizeof(V) / sizeof(element_of<V>);
 
 template <class V, class E>
 NMBG_INLINE V load(const E* from) {
@@ -24,21 +49,92 @@ NMBG_INLINE void store(const V& v, E* to) {
 }
 
 // (from[at[0]], from[at[1]], …).
-template <class V, class E>
-NMBG_INLINE V gather(const E* from, const i32x8& at) {
-#ifdef NMBG_AVX2
-    if constexpr (std::is_same_v<E, float>) return (V)_mm256_i32gather_ps(from, (__m256i)at, 4);
+template <class V, class E, class I>
+NMBG_INLINE V gather(const E* from, const I& at) {
+#ifdef NMBG_AVX512
+    if constexpr (std::is_same_v<V, vector_of<float, 16>>)
+        return (V)_mm512_mask_i32gather_ps(_mm512_setzero_ps(), 0xffff, (__m512i)at, from, 4);
 #endif
-    return V{from[at[0]], from[at[1]], from[at[2]], from[at[3]],
-             from[at[4]], from[at[5]], from[at[6]], from[at[7]]};
+#ifdef NMBG_AVX2
+    if constexpr (std::is_same_v<V, f32x8>) return (V)_mm256_i32gather_ps(from, (__m256i)at, 4);
+#endif
+    V v;
+    for (int i = 0; i < width_of<V>; ++i) v[i] = from[at[i]];
+    return v;
 }
 
+// Writes v[i] to to[at[i]].
+template <class V, class E, class I>
+NMBG_INLINE void scatter(const V& v, E* to, const I& at) {
+#ifdef NMBG_AVX512
+    if constexpr (std::is_same_v<V, vector_of<float, 16>>)
+        return _mm512_i32scatter_ps(to, (__m512i)at, (__m512)v, 4);
+#endif
+    for (int i = 0; i < width_of<V>; ++i) to[at[i]] = v[i];
+}
+
+// The number of which vector S is made, or which it is.
 template <class S>
-NMBG_INLINE S splat(double x) {
-    if constexpr (sizeof(S) <= 8)
+NMBG_INLINE auto number_of(const S& x) {
+    if constexpr (std::is_arithmetic_v<S>)
+        return x;
+    else
+        return x[0];
+}
+template <class S>
+using number_in = decltype(number_of(S{}));
+
+// Elements at[i] and at[i] + step, of the size of V's; V and I are single numbers or vectors.
+template <class V, class I>
+NMBG_INLINE void gather_two(const void* from, const I& at, int32_t step, V& first, V& second) {
+    if constexpr (std::is_arithmetic_v<I>) {
+        std::memcpy(&first, static_cast<const V*>(from) + at, sizeof(V));
+        std::memcpy(&second, static_cast<const V*>(from) + at + step, sizeof(V));
+    } else {
+        // Neighbours come in one read.
+#if defined(NMBG_AVX512)
+        if constexpr (width_of<V> == 16 && sizeof(element_of<V>) == 4)
+            if (step == 1) {
+                const auto low = __builtin_shufflevector(at, at, 0, 1, 2, 3, 4, 5, 6, 7),
+                           high = __builtin_shufflevector(at, at, 8, 9, 10, 11, 12, 13, 14, 15);
+                const __m512i none = _mm512_setzero_si512();  // gcc warns of the forms that take none
+                const V a = (V)_mm512_mask_i32gather_epi64(none, 255, (__m256i)low, from, 4),
+                        b = (V)_mm512_mask_i32gather_epi64(none, 255, (__m256i)high, from, 4);
+                first =
+                    __builtin_shufflevector(a, b, 0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+                second =
+                    __builtin_shufflevector(a, b, 1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31);
+                return;
+            }
+#elif defined(NMBG_AVX2)
+        if constexpr (width_of<V> == 8 && sizeof(element_of<V>) == 4)
+            if (step == 1) {
+                const auto pairs = static_cast<const long long*>(from);
+                const auto low = __builtin_shufflevector(at, at, 0, 1, 2, 3),
+                           high = __builtin_shufflevector(at, at, 4, 5, 6, 7);
+                const V a = (V)_mm256_i32gather_epi64(pairs, (__m128i)low, 4),
+                        b = (V)_mm256_i32gather_epi64(pairs, (__m128i)high, 4);
+                first = __builtin_shufflevector(a, b, 0, 2, 4, 6, 8, 10, 12, 14);
+                second = __builtin_shufflevector(a, b, 1, 3, 5, 7, 9, 11, 13, 15);
+                return;
+            }
+#endif
+        const auto* elements = static_cast<const element_of<V>*>(from);
+        for (int i = 0; i < width_of<V>; ++i) {
+            element_of<V> two[2];
+            std::memcpy(two, elements + at[i], sizeof two[0]);
+            std::memcpy(two + 1, elements + at[i] + step, sizeof two[1]);
+            first[i] = two[0], second[i] = two[1];
+        }
+    }
+}
+
+template <class S, class N>
+NMBG_INLINE S splat(N x) {
+    if constexpr (std::is_arithmetic_v<S> || std::is_class_v<S>)
         return static_cast<S>(x);
     else
-        return S{} + static_cast<std::remove_cvref_t<decltype(S{}[0])>>(x);
+        return S{} + static_cast<element_of<S>>(x);
 }
 
 template <class M, class S>
@@ -69,20 +165,23 @@ NMBG_INLINE f32x8 floats(const f64x8& x) { return __builtin_convertvector(x, f32
 
 // The whole numbers towards zero, and numbers from them.
 template <class S>
-NMBG_INLINE int32_t whole(S x) {
-    return static_cast<int32_t>(x);
+NMBG_INLINE auto whole(const S& x) {
+    if constexpr (std::is_arithmetic_v<S>)
+        return static_cast<int32_t>(x);
+    else
+        return __builtin_convertvector(x, vector_of<int32_t, width_of<S>>);
 }
-NMBG_INLINE i32x8 whole(const f32x8& x) { return __builtin_convertvector(x, i32x8); }
-template <class S>
-NMBG_INLINE S number(int32_t i) {
-    return static_cast<S>(i);
+template <class S, class I>
+NMBG_INLINE S number(const I& i) {
+    if constexpr (std::is_arithmetic_v<I>)
+        return static_cast<S>(i);
+    else
+        return __builtin_convertvector(i, S);
 }
-template <class S>
-NMBG_INLINE S number(const i32x8& i) {
-    return __builtin_convertvector(i, S);
+template <class I>
+NMBG_INLINE auto narrow(const I& i) {
+    return __builtin_convertvector(i, vector_of<int32_t, width_of<I>>);
 }
-NMBG_INLINE i32x8 narrow(const i64x8& i) { return __builtin_convertvector(i, i32x8); }
-NMBG_INLINE i32x8 narrow(const i32x8& i) { return i; }
 // A mask for V's elements.
 template <class V>
 NMBG_INLINE auto mask_for(const i32x8& i) {
@@ -93,25 +192,25 @@ NMBG_INLINE auto mask_for(const i32x8& i) {
 }
 
 // A bit for each element of a mask, the lowest for the first.
-NMBG_INLINE uint32_t bits_of(const i64x8& mask) {
+template <class M>
+NMBG_INLINE uint32_t bits_of(const M& mask) {
 #if defined(NMBG_AVX512)
-    return _mm512_movepi64_mask((__m512i)mask);
+    if constexpr (sizeof(M) == 64)
+        return sizeof(element_of<M>) == 8 ? _mm512_movepi64_mask((__m512i)mask)
+                                          : _mm512_movepi32_mask((__m512i)mask);
 #elif defined(NMBG_AVX2)
-    const auto half = [](__m256d x) { return static_cast<uint32_t>(_mm256_movemask_pd(x)); };
-    return half((__m256d)__builtin_shufflevector(mask, mask, 0, 1, 2, 3)) |
-           half((__m256d)__builtin_shufflevector(mask, mask, 4, 5, 6, 7)) << 4;
-#else
-    uint32_t bits = 0;
-    for (int i = 0; i < wide; ++i) bits |= static_cast<uint32_t>(mask[i] & 1) << i;
-    return bits;
+    if constexpr (std::is_same_v<M, i64x8>) {
+        const auto half = [](__m256d x) { return static_cast<uint32_t>(_mm256_movemask_pd(x)); };
+        return half((__m256d)__builtin_shufflevector(mask, mask, 0, 1, 2, 3)) |
+               half((__m256d)__builtin_shufflevector(mask, mask, 4, 5, 6, 7)) << 4;
+    }
 #endif
-}
-NMBG_INLINE uint32_t bits_of(const i32x8& mask) {
 #if defined(NMBG_AVX2)
-    return static_cast<uint32_t>(_mm256_movemask_ps((__m256)mask));
-#else
-    return bits_of(__builtin_convertvector(mask, i64x8));
+    if constexpr (std::is_same_v<M, i32x8>) return static_cast<uint32_t>(_mm256_movemask_ps((__m256)mask));
 #endif
+    uint32_t bits = 0;
+    for (int i = 0; i < width_of<M>; ++i) bits |= static_cast<uint32_t>(mask[i] & 1) << i;
+    return bits;
 }
 template <class M>
 NMBG_INLINE bool any_of(const M& mask) {

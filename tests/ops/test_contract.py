@@ -119,7 +119,7 @@ def test_torch_library_contract(random_scene, unit_rays):
     rule = (2, 0.1, 0.05, 2.0)
     bytes_of = [(255 * photo).byte() for photo in photos]
     wanted = [x.clone().requires_grad_() for x in (depth, warps, *photos)]
-    sources = blend_photos(depth, warps, K, focal, photos, depths, *rule).sources
+    sources = blend_photos(depth, warps, K, focal, photos, depths, *rule, each=True).sources
     assert (sources >= 0).all(-1).any()
     to_pixels = (grad[:, :5, :6].contiguous(), grad[0, :5, :6].contiguous(), grad[1, :5, :6].contiguous())
     down = (*to_pixels, sources, depth, warps, K)
@@ -138,11 +138,11 @@ def test_torch_library_contract(random_scene, unit_rays):
         *[(ops.shade_backward_coeffs, (grad, *args)) for args in detached],
         *[(ops.shade_backward_pixels, (grad, *args)) for args in detached],
         *[
-            (ops.blend_photos, (*wanted[:2], K, wanted[2:], depths, focal, *rule, each))
+            (ops.blend_photos, (*wanted[:2], K, wanted[2:], depths, focal, *rule, each, True))
             for each in (False, True)
         ],
-        (ops.blend_photos, (*wanted[:2], K, bytes_of, depths, focal, *rule, True)),
-        (ops.blend_photos, (wanted[0], warps[:0], K[:0], [], [], focal, *rule, True)),
+        (ops.blend_photos, (*wanted[:2], K, bytes_of, depths, focal, *rule, True, True)),
+        (ops.blend_photos, (wanted[0], warps[:0], K[:0], [], [], focal, *rule, True, True)),
         (ops.blend_photos_backward, (*down, photos, depths, focal, *rule)),
         (ops.blend_photos_backward, (*down, bytes_of, depths, focal, *rule)),
         (ops.blend_photos_backward_texels, (*down, photos, depths, focal, *rule)),

@@ -23,8 +23,10 @@ class Blend(NamedTuple):
         sources: [H, W, keep + 1] int32, from the best score down, −1 where there are no more; the last one is
             not shown, it only sets the weights.
         weights: [keep, H, W] of the first `keep` sources; they sum to one, or are 0. Not differentiable.
-        shown: [keep, 3, H, W] the colours that the weights mix, 0 where there is none; [0, 3, H, W] when they
-            are not asked for. Not differentiable.
+        shown: [keep, 3, H, W] the colours that the weights mix, 0 where there is none. Not differentiable.
+
+    The last three are empty ([H, W, 0], [0, H, W], [0, 3, H, W]) when they are not asked for; `sources` are
+    there as well when there may be gradients.
     """
 
     colour: Tensor
@@ -76,11 +78,12 @@ def _blend(
     tolerance: float,
     border: float,
     each: bool,
+    which: bool,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     blending = _blending(
         depth, warps, intrinsics, photos, photo_depths, (focal, keep, angle, tolerance, border)
     )
-    colour, weight, variance, sources, weights, shown = map(torch.from_numpy, blending.forward(each))
+    colour, weight, variance, sources, weights, shown = map(torch.from_numpy, blending.forward(each, which))
     return colour, weight, variance, weights, shown, sources
 
 
@@ -97,15 +100,16 @@ def _(
     tolerance: float,
     border: float,
     each: bool,
+    which: bool,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]:
     size = tuple(depth.shape)
     return (
         depth.new_empty((3, *size)),
         depth.new_empty(size),
         depth.new_empty(size),
-        depth.new_empty((keep, *size)),
+        depth.new_empty((keep if each else 0, *size)),
         depth.new_empty((keep if each else 0, 3, *size)),
-        depth.new_empty((*size, keep + 1), dtype=torch.int32),
+        depth.new_empty((*size, keep + 1 if which else 0), dtype=torch.int32),
     )
 
 
@@ -187,7 +191,7 @@ def _(
 
 
 def _save(ctx: Any, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
-    depth, warps, intrinsics, photos, photo_depths, *scalars, _ = inputs
+    depth, warps, intrinsics, photos, photo_depths, *scalars, _, _ = inputs
     ctx.scalars = scalars
     *_, weights, shown, sources = output
     ctx.mark_non_differentiable(weights, shown, sources)
@@ -213,7 +217,7 @@ def _grad(
         None,
         grad_photos or [None] * len(photos),
         [None] * len(photos),
-        *[None] * 6,
+        *[None] * 7,
     )
 
 
@@ -257,7 +261,7 @@ def blend_photos(
         angle: radians.
         tolerance: relative.
         border: pixels.
-        each: return the colours of the single sources too.
+        each: return what the single sources show, their weights and which they are too.
 
     Returns:
         see Blend; colour, weight and variance are differentiable with respect to `depth`, `warps` and
@@ -278,8 +282,14 @@ def blend_photos(
         tolerance,
         border,
         each,
+        each or traced(depth, warps, *photos),
     )
     return Blend(colour, weight, variance, sources, weights, shown)
+
+
+def traced(*inputs: Tensor) -> bool:
+    """Whether gradients to any of them may be asked for."""
+    return torch.is_grad_enabled() and any(x.requires_grad for x in inputs)
 
 
 def mip_chain(image: Tensor, mask: Tensor | None = None) -> Tensor:

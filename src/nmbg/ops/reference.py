@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from nmbg.ops.blend import Blend
+from nmbg.ops.blend import Blend, traced
 from nmbg.ops.rasterize import FaceHits, PointHits
 
 __all__ = [
@@ -304,12 +304,13 @@ def blend_photos(
     weights = weights / torch.where(total > 0, total, 1)
     colour = (weights[:, None] * shown).sum(0)
     variance = (weights * ((shown - colour) ** 2).mean(1)).sum(0)
+    which = keep + 1 if each or traced(depth, warps, *photos) else 0
     return Blend(
         colour,
         score[0],
         variance,
-        sources.permute(1, 2, 0).int(),
-        weights.detach(),
+        sources[:which].permute(1, 2, 0).int(),
+        weights[: keep if each else 0].detach(),
         shown[: keep if each else 0].detach(),
     )
 
