@@ -5,6 +5,7 @@
 
 namespace nmbg::NMBG_ISA {
 
+// n numbers of type T.
 template <class T, int n>
 struct VectorOf {
     typedef T type __attribute__((vector_size(n * sizeof(T))));
@@ -30,9 +31,16 @@ using i64x8 = vector_of<int64_t, wide>;
 using f32x8 = vector_of<float, wide>;
 using i32x8 = vector_of<int32_t, wide>;
 
-// How many numbers a vector holds, and what they are.
+// The type of a vector's numbers, or of the number that V is, and how many they are.
 template <class V>
-using element_of = std::remove_cvref_t<decltype(V{}[0])>;
+NMBG_INLINE auto first_of(const V& x) {
+    if constexpr (std::is_arithmetic_v<V>)
+        return x;
+    else
+        return x[0];
+}
+template <class V>
+using element_of = decltype(first_of(V{}));
 template <class V>
 constexpr int width_of = sizeof(V) / sizeof(element_of<V>);
 
@@ -72,17 +80,6 @@ NMBG_INLINE void scatter(const V& v, E* to, const I& at) {
 #endif
     for (int i = 0; i < width_of<V>; ++i) to[at[i]] = v[i];
 }
-
-// The number of which vector S is made, or which it is.
-template <class S>
-NMBG_INLINE auto number_of(const S& x) {
-    if constexpr (std::is_arithmetic_v<S>)
-        return x;
-    else
-        return x[0];
-}
-template <class S>
-using number_in = decltype(number_of(S{}));
 
 // Elements at[i] and at[i] + step, of the size of V's; V and I are single numbers or vectors.
 template <class V, class I>
@@ -178,6 +175,8 @@ NMBG_INLINE S number(const I& i) {
     else
         return __builtin_convertvector(i, S);
 }
+
+// A mask of 4-byte elements.
 template <class I>
 NMBG_INLINE auto narrow(const I& i) {
     return __builtin_convertvector(i, vector_of<int32_t, width_of<I>>);

@@ -43,7 +43,7 @@ NMBG_INLINE S root(const S& x) {
 template <class S>
 NMBG_INLINE S usable(const S& z) {
     const S zero = splat<S>(0);
-    const S finite = select(z < splat<S>(std::numeric_limits<number_in<S>>::max()), z, zero);
+    const S finite = select(z < splat<S>(std::numeric_limits<element_of<S>>::max()), z, zero);
     return select(finite > zero, finite, zero);
 }
 
@@ -144,7 +144,7 @@ struct Footprint {
 
   private:
     using V = decltype(value_of(S{}));
-    using T = number_in<V>;
+    using T = element_of<V>;
 
     // The pixel before a place on an axis of so many pixels; `distance` from its centre.
     NMBG_INLINE static auto place(const S& at, int32_t size, S& distance) {

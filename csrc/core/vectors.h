@@ -16,10 +16,3 @@
 #define NMBG_INLINE inline
 #define NMBG_INLINE_LAMBDA
 #endif
-
-namespace nmbg {
-
-// Elements that a loop takes at a time: whole vectors of any width.
-constexpr int lanes = 16;
-
-}  // namespace nmbg
