@@ -29,6 +29,10 @@ struct Strip {
         for (int i = 0; i < pixels; ++i) z[i] = usable(b.depth[first + i]);
         for (int i = pixels; i < strip_pixels; ++i) z[i] = 0;
     }
+
+    NMBG_INLINE bool empty() const {
+        return std::all_of(z, z + strip_pixels, [](T depth) { return depth == 0; });
+    }
 };
 
 template <class T>
@@ -51,7 +55,7 @@ NMBG_INLINE void rank(const Photo<T, Texel>& photo, int32_t s, const BlendRule<T
     if (!any_of(better)) return;
     const auto partly = narrow(visible < sum(four.weights()));
     I id = splat<I>(2 * s) - partly;  // a mask's elements are 0 and -1
-    better ^= better;
+    better = decltype(better){};
     for (int k = 0; k <= rule.keep; ++k) {
         T* scores = best.score[k] + i0;
         int32_t* ids = ranks[k] + i0;
@@ -166,7 +170,7 @@ void blend_strip(const Blending<T, Texel>& b, int64_t first, SortedPlaces& place
         for (int c = 0; c < 3; ++c)
             for (int i = 0; i < strip_pixels; ++i) mixture.shown[k][c][i] = 0;
 
-    const auto count = static_cast<int32_t>(b.photos.size());
+    const auto count = strip.empty() ? 0 : static_cast<int32_t>(b.photos.size());
     for (int32_t s = 0; s < count; ++s) {
         const Source<T, Texel> source(b.photos[s]);
         for (int i0 = 0; i0 < strip_pixels; i0 += abreast<T>)
