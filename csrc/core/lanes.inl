@@ -116,12 +116,10 @@ NMBG_INLINE void gather_two(const void* from, const I& at, int32_t step, V& firs
                 return;
             }
 #endif
-        const auto* elements = static_cast<const element_of<V>*>(from);
         for (int i = 0; i < width_of<V>; ++i) {
-            element_of<V> two[2];
-            std::memcpy(two, elements + at[i], sizeof two[0]);
-            std::memcpy(two + 1, elements + at[i] + step, sizeof two[1]);
-            first[i] = two[0], second[i] = two[1];
+            element_of<V> one, other;
+            gather_two(from, at[i], step, one, other);
+            first[i] = one, second[i] = other;
         }
     }
 }

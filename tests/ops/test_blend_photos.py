@@ -176,6 +176,7 @@ def test_without_sources_nothing_is_shown(op, dtype):
     assert (grad_depth == 0).all()
     assert grad_warps.shape == (0, 3, 4)
     assert {o.dtype for o in blend} == {dtype, torch.int32}
+    assert op(*arguments).shown.shape == (0, 3, 14, 20)
 
 
 @OPS
@@ -354,6 +355,10 @@ def test_a_blend_is_made_of_what_its_sources_show_alone(keep):
     torch.testing.assert_close(blend.colour, colour)
     variance = (blend.weights[:, None] * (blend.shown - colour) ** 2).sum(0).mean(0)
     torch.testing.assert_close(blend.variance, variance)
+    without = blend_photos(*arguments, keep=keep, **options)
+    assert without.shown.shape[0] == 0
+    for a, b in zip(without[:3], blend[:3], strict=True):
+        assert torch.equal(a, b)
 
 
 @OPS

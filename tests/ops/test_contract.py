@@ -50,7 +50,7 @@ def blending(sources: int, height: int, width: int, dtype: torch.dtype):
 
 
 def blend_all(depth, warps, K, focal, depths, *photos):
-    return blend_photos(depth, warps, K, focal, photos, depths, keep=3, border=4.0)[:4]
+    return blend_photos(depth, warps, K, focal, photos, depths, keep=3, border=4.0, each=True)[:4]
 
 
 @pytest.fixture
