@@ -93,14 +93,16 @@ def _parts(scene: Scene, views: dict[str, dict[str, float]]) -> dict[str, dict[s
 
 
 def _processors(rows: dict[str, list[dict[str, Any]]]) -> str:
-    """A sweep may go on with another one: where its runs were made."""
-    return " and ".join(sorted({record["machine"]["cpu"] for runs in rows.values() for record in runs}))
+    """A sweep may go on with another one: where its runs were made, and in which precision."""
+    records = [record for runs in rows.values() for record in runs if record["config"]["model"]["widths"]]
+    found = {(record["machine"]["cpu"], record["config"]["bf16"]) for record in records}
+    return " and ".join(f"{cpu} in {'bfloat16' if bf16 else 'float32'}" for cpu, bf16 in sorted(found))
 
 
 def _table(results: dict[str, Any]) -> str:
     lines = [
-        f"Held-out views after {results['minutes']:.3g} minutes a rung, networks in bfloat16; mean ± half of "
-        "the range of the seeds. L_rec up to relu3_1, that of `paper` too; LPIPS of SqueezeNet; training "
+        f"Held-out views after {results['minutes']:.3g} minutes a rung; mean ± half of the "
+        "range of the seeds. L_rec up to relu3_1, that of `paper` too; LPIPS of SqueezeNet; training "
         f"PSNR over {TRAINING_VIEWS} views. `before`: without what docs/quality.md describes. "
         f"{results['machine']['threads']} threads."
     ]

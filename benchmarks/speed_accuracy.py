@@ -57,14 +57,14 @@ class Variant:
     Args:
         preset: the preset.
         model: fields of its ModelConfig.
-        train: fields of its TrainConfig.
         scene: how the scene is made smaller (`smaller_scene`).
+        bf16: network in bfloat16 or not; None for what is faster.
     """
 
     preset: str
     model: dict[str, Any] = field(default_factory=dict)
-    train: dict[str, Any] = field(default_factory=dict)
     scene: dict[str, float] = field(default_factory=dict)
+    bf16: bool | None = None
 
 
 VARIANTS = {
@@ -78,7 +78,8 @@ VARIANTS = {
     "nmbg-degree-1": Variant("nmbg", {"degree": 1}),
     "nmbg-vertices-1/4": Variant("nmbg", scene={"vertices": 0.25}),
     "nmbg-images-1/2": Variant("nmbg", scene={"images": 0.5}),
-    "nmbg-float32": Variant("nmbg", train={"bf16": False}),
+    "nmbg-float32": Variant("nmbg", bf16=False),
+    "nmbg-bfloat16": Variant("nmbg", bf16=True),
 }
 
 
@@ -109,9 +110,9 @@ def main(
         folder = smaller_scene(scene, output / "scenes", **variant.scene)
         wanted = budgets if name in PRESETS else budgets[len(budgets) // 2 :][:1]
         for budget in wanted if PRESETS[variant.preset].stages else [0.0]:
-            config = trained_for(variant.preset, budget, seed, **variant.train)
+            config = trained_for(variant.preset, budget, seed)
             config = replace(config, model=replace(config.model, **variant.model))
-            named.append((name, Job(folder, config)))
+            named.append((name, Job(folder, config, bf16=variant.bf16)))
     records = Sweep(output, weights).measure([job for _, job in named], split=False)
     measured = [
         _point(name, job, record, _again(scene, name, job, weights, output))

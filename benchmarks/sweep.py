@@ -22,6 +22,7 @@ from nmbg.evaluation.evaluate import evaluate
 from nmbg.scene import Scene
 from nmbg.training.checkpoint import latest_checkpoint, load_progress
 from nmbg.training.config import PRESETS, VGG_TO_RELU3, TrainConfig
+from nmbg.training.precision import bf16_is_faster
 from nmbg.training.trainer import train
 
 METRICS = ("psnr", "ssim", "ssim_svs", "lpips")
@@ -39,17 +40,22 @@ class Job:
         config: how it is trained.
         init: run whose network it begins with, or None.
         stressed: how the scene is made worse before, or None.
+        bf16: network in bfloat16 or not; None for what is faster, as `nmbg train` chooses. Then it is no part
+            of the key: a sweep may go on where another processor chooses otherwise.
     """
 
     scene: Path
     config: TrainConfig
     init: Path | None = None
     stressed: Stressed | None = None
+    bf16: bool | None = None
 
     @property
     def key(self) -> str:
         """What it is kept under: scene, preset, and a hash of everything that decides it."""
-        settings = json.dumps([self.name, _given(self.config), str(self.init)], sort_keys=True)
+        parts = [self.name, _given(self.config), str(self.init)]
+        parts += [] if self.bf16 is None else [self.bf16]
+        settings = json.dumps(parts, sort_keys=True)
         digest = hashlib.sha256(settings.encode()).hexdigest()[:12]
         return f"{self.name}-{self.config.preset}-{digest}"
 
@@ -123,8 +129,9 @@ class Sweep:
     def _run(self, job: Job, split: bool) -> None:
         run = self.folder(job)
         run.parent.mkdir(parents=True, exist_ok=True)
+        config = in_precision(job.config, job.bf16)
         with _scene(job, self.output / "stressed") as scene:
-            train(scene, job.config, run, self.weights, overwrite=True, init=job.init)
+            train(scene, config, run, self.weights, overwrite=True, init=job.init)
             report = evaluate(run, METRICS, lpips_net=self.lpips_net, weights=self.weights)
             found = latest_checkpoint(run)
             assert found is not None
@@ -143,7 +150,7 @@ class Sweep:
         record = {
             "scene": job.scene.name,
             "stressed": None if job.stressed is None else job.stressed.key,
-            "config": asdict(job.config),
+            "config": asdict(config),
             **provenance(),
             "figures": figures,
             "views": report.views,
@@ -176,8 +183,7 @@ def trained_for(
 ) -> TrainConfig:
     """A preset with a budget in minutes or steps.
 
-    L_rec, where there is one, is up to relu3_1, so that rungs compare. Networks are in bfloat16, which
-    `nmbg train` chooses where it is faster: a sweep may go on where another processor would choose otherwise.
+    L_rec, where there is one, is up to relu3_1, so that rungs compare.
     """
     config = PRESETS[preset]
     perceptual = "none" if config.perceptual == "none" else VGG_TO_RELU3
@@ -190,8 +196,15 @@ def trained_for(
         iterations=iterations,
         perceptual=perceptual,
         seed=seed,
-        **{"bf16": bool(config.model.widths), **changes},
+        **changes,
     )
+
+
+def in_precision(config: TrainConfig, bf16: bool | None = None) -> TrainConfig:
+    """A configuration whose network, if it has one, is in bfloat16 or not; by default as is faster here."""
+    if not config.model.widths:
+        return config
+    return replace(config, bf16=bf16_is_faster(config.device) if bf16 is None else bf16)
 
 
 def trained_in_steps(preset: str, seed: int = 0, quick: bool = False) -> TrainConfig:

@@ -26,7 +26,7 @@ import click
 import torch
 from options import output_option, scenes_argument, weights_option
 from record import cell, command, provenance, write
-from sweep import METRICS, Job, Sweep, trained_for
+from sweep import METRICS, Job, Sweep, in_precision, trained_for
 
 from nmbg.atomic import atomic_file
 from nmbg.evaluation.evaluate import evaluate
@@ -83,7 +83,7 @@ def _shared(scenes: tuple[Path, ...], preset: str, minutes: float, weights: Path
     done = run.with_suffix(".done")
     if not done.exists():
         run.parent.mkdir(parents=True, exist_ok=True)
-        train_together(scenes, trained_for(preset, minutes), run, weights, overwrite=True)
+        train_together(scenes, in_precision(trained_for(preset, minutes)), run, weights, overwrite=True)
         done.touch()
     return run
 
@@ -100,7 +100,7 @@ def _counted(
     run = output / "work" / name
     threads = max(1, torch.get_num_threads() // processes)
     launcher = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", str(processes))
-    options = ("--epochs", epochs, "--seed", seed, "--bf16", "--overwrite", "--output", run)
+    options = ("--epochs", epochs, "--seed", seed, "--overwrite", "--output", run)
     subprocess.run(
         [sys.executable, *launcher, "-m", "nmbg", "train", *map(str, (*scenes, *options))],
         env={**os.environ, "OMP_NUM_THREADS": str(threads)},

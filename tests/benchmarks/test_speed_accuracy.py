@@ -55,10 +55,10 @@ def test_every_variant_is_a_model_that_can_be_made(benchmark: ModuleType) -> Non
     assert set(PRESETS) < set(benchmark.VARIANTS)
     keys = set()
     for name, variant in benchmark.VARIANTS.items():
-        config = benchmark.trained_for(variant.preset, 1.0, **variant.train)
+        config = benchmark.trained_for(variant.preset, 1.0)
         model = benchmark.replace(config.model, **variant.model)
         assert (make_network(model) is None) == (not model.widths), name
-        keys.add(json.dumps([str(model), str(config), variant.scene]))
+        keys.add(json.dumps([str(model), str(config), variant.scene, variant.bf16]))
     assert len(keys) == len(benchmark.VARIANTS)
 
 

@@ -1,5 +1,5 @@
 from collections.abc import Callable, Set
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from nmbg.cameras import Camera
-from nmbg.model.photographs import Gathered, Photographs, count_features
+from nmbg.model.photographs import Gathered, OnMesh, Photographs, count_features
 from nmbg.model.renderer import Renderer
 from nmbg.scene import Scene, View
 from nmbg.sight import look
@@ -24,12 +24,12 @@ def grey(camera: Camera) -> torch.Tensor:
     return torch.full((3, camera.height, camera.width), 0.5)
 
 
-def grey_mesh(scene: Scene) -> Callable[[Camera], tuple[torch.Tensor, torch.Tensor]]:
-    return lambda camera: (grey(camera), look(scene.mesh, camera).depth)
+def grey_mesh(scene: Scene) -> OnMesh:
+    return lambda camera: ([grey(camera)], look(scene.mesh, camera).depth)
 
 
 def gather(photographs: Photographs, camera: Camera, without: Set[str] = frozenset()) -> Gathered:
-    return photographs.gather(camera, *grey_mesh(photographs.scene)(camera), without)
+    return photographs.gather(camera, grey(camera), look(photographs.scene.mesh, camera).depth, without)
 
 
 def test_photographs_mend_a_grey_mesh(scene: Scene) -> None:
@@ -135,6 +135,30 @@ def test_a_small_cache_gives_the_same_picture(scene: Scene) -> None:
         gather(photographs, scene.train[3].camera)
         pictures.append(gather(photographs, camera).blended())
     assert torch.equal(*pictures)
+
+
+def test_colourings_do_not_see_each_other(scene: Scene) -> None:
+    """Over a mesh in two colours at once, photographs show what they show over each of them alone."""
+    view = scene.train[2]
+    depth = look(scene.mesh, view.camera).depth
+
+    def dark(camera: Camera) -> torch.Tensor:
+        return 0.4 * grey(camera)
+
+    def over(*colours: Callable[[Camera], torch.Tensor]) -> Photographs:
+        def mesh(camera: Camera) -> tuple[list[torch.Tensor], torch.Tensor]:
+            return [colour(camera) for colour in colours], look(scene.mesh, camera).depth
+
+        return Photographs(scene, scene.train, mesh, 3)
+
+    both, shown = over(grey, dark), []
+    for i, colour in enumerate((grey, dark)):
+        base = colour(view.camera)
+        together = both.gather(view.camera, base, depth, {view.name}, colouring=i)
+        alone = over(colour).gather(view.camera, base, depth, {view.name})
+        assert all(torch.equal(getattr(together, f.name), getattr(alone, f.name)) for f in fields(Gathered))
+        shown.append(together.shown)
+    assert not torch.equal(*shown)
 
 
 def test_masked_pixels_are_never_shown(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ neighbours were exposed; nothing is fitted to what it is compared with.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Set
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -20,6 +21,8 @@ from torch import Tensor
 ALIKE = 0.1
 # How often it is asked which pixels look alike.
 PASSES = 4
+# Of about so many pixels, on a grid over the photograph.
+PIXELS = 2**15
 # Added to the variance of colours: what shows one colour alone says nothing about gains.
 RIDGE = 1e-3
 # A view is exposed as so many photographs around it.
@@ -91,23 +94,27 @@ def fit_exposure(image: Tensor, colour: Tensor, counted: Tensor) -> Exposure:
         colour: [3, H, W] float32 colour on the mesh.
         counted: [H, W] bool, pixels that count.
     """
+    step = max(1, round(math.sqrt(counted.numel() / PIXELS)))
+    image, colour, counted = (part[..., ::step, ::step].contiguous() for part in (image, colour, counted))
     found = UNCHANGED
     for _ in range(PASSES):
         alike = counted & ((found.undo(image) - colour).abs().amax(0) < ALIKE)
         if not alike.any():
             break
-        found = _fit(colour[:, alike].double(), image[:, alike].double())
+        found = _fit(colour.flatten(1), image.flatten(1), alike.flatten())
     return found
 
 
-def _fit(x: Tensor, y: Tensor) -> Exposure:
-    """Exposure that brings colours x nearest to y, both [3, N] float64."""
-    mean_x, mean_y = x.mean(1, keepdim=True), y.mean(1, keepdim=True)
-    variance = (x - mean_x).square().mean(1, keepdim=True)
-    covariance = ((x - mean_x) * (y - mean_y)).mean(1, keepdim=True)
+def _fit(x: Tensor, y: Tensor, counted: Tensor) -> Exposure:
+    """Exposure that brings colours x nearest to y, both [3, N], where they are counted, [N] bool."""
+    share = counted / counted.sum()
+    mean_x, mean_y = x @ share, y @ share
+    from_mean = x - mean_x[:, None]
+    variance = from_mean.square() @ share
+    covariance = (from_mean * (y - mean_y[:, None])) @ share
     gain = (covariance + RIDGE) / (variance + RIDGE)
     offset = mean_y - gain * mean_x
-    return Exposure(gain[..., None].float(), offset[..., None].float())
+    return Exposure(gain[:, None, None], offset[:, None, None])
 
 
 def neighbours(

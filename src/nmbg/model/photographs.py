@@ -94,24 +94,36 @@ class Source(NamedTuple):
     """A photograph ready to be blended.
 
     Args:
-        texels: [texels, 3] uint8, mip chain of ½ + residual / 2.
+        texels: per colouring of the mesh, [texels, 3] uint8, mip chain of ½ + residual / 2.
         depth: [h, w] float32 view-space z of the surface, 0 where none is seen or the mask leaves it out.
-        exposure: of the photograph.
+        exposures: of the photograph, per colouring.
     """
 
-    texels: Tensor
+    texels: list[Tensor]
     depth: Tensor
-    exposure: Exposure
+    exposures: list[Exposure]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory held, bytes."""
+        return self.depth.nbytes + sum(texels.nbytes for texels in self.texels)
+
+
+# Camera → what it sees of the mesh: the colour that residuals are taken from, [3, H, W], per colouring, and
+# view-space z [H, W], 0 where the mesh is not seen; float32.
+OnMesh = Callable[[Camera], tuple[Sequence[Tensor], Tensor]]
 
 
 class Photographs:
     """Training photographs ready to be blended, prepared when they are first needed.
 
+    The mesh may be coloured in several ways; a photograph is then prepared over all of them at once, as
+    opening it and rasterizing its view is what costs most.
+
     Args:
         scene: gives photographs and geometry; must not be changed.
         views: which photographs.
-        mesh: camera → what it sees of the mesh: colour [3, H, W], that residuals are taken from, and
-            view-space z [H, W], 0 where the mesh is not seen; float32.
+        mesh: what their cameras see of the mesh.
         sources: K, photographs blended in a pixel.
         cache_gib: memory for prepared photographs, GiB; the least recently used are prepared anew.
     """
@@ -120,7 +132,7 @@ class Photographs:
         self,
         scene: Scene,
         views: Sequence[View],
-        mesh: Callable[[Camera], tuple[Tensor, Tensor]],
+        mesh: OnMesh,
         sources: int,
         cache_gib: float = 4.0,
     ) -> None:
@@ -139,9 +151,9 @@ class Photographs:
         """What decides which photographs a view is blended from."""
         return SourceCover(self.scene.mesh, [view.camera for view in self.views])
 
-    def recoloured(self, mesh: Callable[[Camera], tuple[Tensor, Tensor]], share: float) -> Photographs:
-        """The same photographs over other colours of the same mesh, with a share of the memory."""
-        other = Photographs(self.scene, self.views, mesh, self.sources, share * self._limit / GIB)
+    def recoloured(self, mesh: OnMesh) -> Photographs:
+        """The same photographs over other colours of the same mesh."""
+        other = Photographs(self.scene, self.views, mesh, self.sources, self._limit / GIB)
         other.cover = self.cover
         return other
 
@@ -162,11 +174,16 @@ class Photographs:
         colour = torch.addcmul(base, blend.colour.mul_(2).sub_(1), _trust(blend.weight))
         return self.exposure(camera, without).apply(colour)
 
-    def gather(self, camera: Camera, base: Tensor, depth: Tensor, without: Set[str] = NOTHING) -> Gathered:
-        """What a network needs to blend the photographs into a view; arguments as for over()."""
-        blend = self._blend(camera, depth, without, each=True)
+    def gather(
+        self, camera: Camera, base: Tensor, depth: Tensor, without: Set[str] = NOTHING, colouring: int = 0
+    ) -> Gathered:
+        """What a network needs to blend the photographs into a view; arguments as for over().
+
+        `base` is the colour on the mesh in that colouring.
+        """
+        blend = self._blend(camera, depth, without, each=True, colouring=colouring)
         trust = _trust(blend.weight)
-        exposure = self.exposure(camera, without)
+        exposure = self.exposure(camera, without, colouring)
         # A source that is not there shows 0 and must stay 0.
         residuals = blend.shown.mul_(2).sub_(1).mul_((blend.weights > 0)[:, None] * trust)
         return Gathered(
@@ -177,14 +194,16 @@ class Photographs:
             blend.weight.half(),
         )
 
-    def _blend(self, camera: Camera, depth: Tensor, without: Set[str], each: bool) -> Blend:
+    def _blend(
+        self, camera: Camera, depth: Tensor, without: Set[str], each: bool, colouring: int = 0
+    ) -> Blend:
         chosen = self.candidates(camera, depth, without)
         sources = [self._source(i) for i in chosen]
         return blend_into(
             camera,
             depth,
             [self.views[i].camera for i in chosen],
-            [source.texels for source in sources],
+            [source.texels[colouring] for source in sources],
             [source.depth for source in sources],
             self.sources,
             each,
@@ -195,31 +214,35 @@ class Photographs:
         left_out = [i for i, view in enumerate(self.views) if view.name in without]
         return self.cover.choose(camera, depth, CANDIDATES, self.sources, left_out)
 
-    def exposure(self, camera: Camera, without: Set[str] = NOTHING) -> Exposure:
+    def exposure(self, camera: Camera, without: Set[str] = NOTHING, colouring: int = 0) -> Exposure:
         """How a view is exposed: as the photographs around it."""
         others = [i for i, view in enumerate(self.views) if view.name not in without]
         centres = np.array([self.views[i].camera.centre for i in others]).reshape(-1, 3)
         near, weights = neighbours(camera.centre, centres)
-        return mean_exposure([self._source(others[i]).exposure for i in near], weights)
+        return mean_exposure([self._source(others[i]).exposures[colouring] for i in near], weights)
 
     def _source(self, i: int) -> Source:
         if i in self._cache:
             self._cache.move_to_end(i)
             return self._cache[i]
         source = self._prepare(self.views[i])
-        self._held += source.texels.nbytes + source.depth.nbytes
+        self._held += source.nbytes
         while self._cache and self._held > self._limit:
             _, dropped = self._cache.popitem(last=False)
-            self._held -= dropped.texels.nbytes + dropped.depth.nbytes
+            self._held -= dropped.nbytes
         self._cache[i] = source
         return source
 
     def _prepare(self, view: View) -> Source:
         image = torch.from_numpy(self.scene.load_image(view)).permute(2, 0, 1) / 255
-        colour, depth = self.mesh(view.camera)
+        colours, depth = self.mesh(view.camera)
         mask = self.scene.load_mask(view)
-        keep = torch.ones_like(depth, dtype=torch.bool) if mask is None else torch.from_numpy(mask)
-        exposure = fit_exposure(image, colour, keep & (depth > 0))
-        residual = (exposure.undo(image) - colour).permute(1, 2, 0)
-        texels = ((0.5 + residual / 2).clamp(0, 1) * 255).round().to(torch.uint8)
-        return Source(mip_chain(texels, keep), depth * keep, exposure)
+        keep = None if mask is None else torch.from_numpy(mask)
+        depth = depth if keep is None else depth * keep
+        exposures = [fit_exposure(image, colour, depth > 0) for colour in colours]
+        texels = []
+        for colour, exposure in zip(colours, exposures, strict=True):
+            residual = (exposure.undo(image) - colour).permute(1, 2, 0)
+            finest = ((0.5 + residual / 2).clamp(0, 1) * 255).round().to(torch.uint8)
+            texels.append(mip_chain(finest, keep))
+        return Source(texels, depth, exposures)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence, Set
+from functools import partial
 from typing import cast
 
 import torch
@@ -61,7 +62,9 @@ class Renderer(nn.Module):
 
     def remember(self, scene: Scene, views: Sequence[View], cache_gib: float = 4.0) -> None:
         """Blend these photographs of the scene over the mesh from now on; so many GiB are kept ready."""
-        self.photographs = Photographs(scene, views, self.on_mesh, self.config.sources, cache_gib)
+        self.photographs = Photographs(
+            scene, views, partial(coloured, [self]), self.config.sources, cache_gib
+        )
 
     def see(self, camera: Camera, without: Set[str] = NOTHING) -> Prepared:
         """What forward() needs of a view.
@@ -80,13 +83,10 @@ class Renderer(nn.Module):
         """The view extended so that the pyramid's sizes are whole."""
         return camera.padded(2 ** (self.config.levels - 1))
 
-    @torch.no_grad()
     def on_mesh(self, camera: Camera) -> tuple[Tensor, Tensor]:
         """Colour [3, H, W] and depth [H, W] of the one layer that photographs are blended over."""
-        (mesh,) = self.layers
-        fragments = rasterize_finest(mesh, camera, self.config)
-        assert fragments.depth is not None
-        return self.colour([fragments], camera).cpu(), fragments.depth
+        (colour,), depth = coloured([self], camera)
+        return colour, depth
 
     def rasterize(self, camera: Camera, once: bool = False) -> list[LayerFragments]:
         """What `camera` sees of each layer, padded; `once` where it is not kept."""
@@ -171,6 +171,16 @@ class Renderer(nn.Module):
         if self.exposures is not None:
             image = self.exposures.around(camera.centre, without).apply(image.cpu())
         return image.clamp(0, 1).cpu()
+
+
+@torch.no_grad()
+def coloured(renderers: Sequence[Renderer], camera: Camera) -> tuple[list[Tensor], Tensor]:
+    """Colours [3, H, W] of renderers that differ in their descriptors alone, and the depth [H, W] of all."""
+    first = renderers[0]
+    (mesh,) = first.layers
+    fragments = rasterize_finest(mesh, camera, first.config)
+    assert fragments.depth is not None
+    return [renderer.colour([fragments], camera).cpu() for renderer in renderers], fragments.depth
 
 
 def make_network(config: ModelConfig) -> UNet | None:

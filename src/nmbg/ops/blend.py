@@ -302,17 +302,18 @@ def mip_chain(image: Tensor, mask: Tensor | None = None) -> Tensor:
     Returns:
         [texels, 4] in the dtype of `image`: three colours and a 0, so that four bytes are read at once.
     """
-    weight = torch.ones(1, 1, *image.shape[:2]) if mask is None else mask[None, None].float()
-    level = image.permute(2, 0, 1)[None].to(weight.dtype if image.dtype == torch.uint8 else image.dtype)
-    weight = weight.to(level.dtype)
+    level = image.permute(2, 0, 1)[None].to(torch.float32 if image.dtype == torch.uint8 else image.dtype)
+    weight = None if mask is None else mask[None, None].to(level.dtype)
     chain = [image.reshape(-1, 3)]
     while max(level.shape[2:]) > 1:
         odd = (0, level.shape[3] % 2, 0, level.shape[2] % 2)
-        total = F.avg_pool2d(F.pad(weight, odd), 2)
-        plain = F.avg_pool2d(F.pad(level, odd, mode="replicate"), 2)
-        counted = F.pad(torch.where(weight > 0, level, 0), odd)
-        level = torch.where(total > 0, F.avg_pool2d(counted, 2) / total.clamp(min=1e-12), plain)
-        weight = (total > 0).to(level.dtype)
+        smaller = F.avg_pool2d(F.pad(level, odd, mode="replicate"), 2)
+        if weight is not None:
+            total = F.avg_pool2d(F.pad(weight, odd), 2)
+            counted = F.avg_pool2d(F.pad(torch.where(weight > 0, level, 0), odd), 2)
+            smaller = torch.where(total > 0, counted / total.clamp(min=1e-12), smaller)
+            weight = (total > 0).to(level.dtype)
+        level = smaller
         texels = level[0].permute(1, 2, 0).reshape(-1, 3)
         chain.append(texels.round().to(torch.uint8) if image.dtype == torch.uint8 else texels)
     return F.pad(torch.cat(chain), (0, 1))

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 from nmbg.cameras import Camera
-from nmbg.model.photographs import Gathered, Photographs
-from nmbg.model.renderer import Renderer
+from nmbg.model.photographs import Gathered
+from nmbg.model.renderer import Renderer, coloured
 from nmbg.scene import Scene, View
 from nmbg.training.config import TrainConfig
 from nmbg.training.start import ColourFit
 
-# More folds leave more of the views in each fit; every fold prepares the photographs anew.
+# More folds leave more of the views in each fit; every fold has residuals of all photographs.
 FOLDS = 4
 
 
@@ -48,20 +49,19 @@ class LeftOut:
     def __init__(self, renderer: Renderer, fit: ColourFit) -> None:
         assert renderer.photographs is not None
         self.padded, self.fit = renderer.padded, fit
-        self.meshes: list[Renderer] = []
-        self.photographs: list[Photographs] = []
-        for fold in range(fit.folds):
-            mesh = Renderer(replace(renderer.config, widths=()), renderer.layers)
+        self.meshes = [
+            Renderer(replace(renderer.config, widths=()), renderer.layers) for _ in range(fit.folds)
+        ]
+        for fold, mesh in enumerate(self.meshes):
             mesh.set_colours(fit.coefficients(without=fold))
-            self.meshes.append(mesh)
-            self.photographs.append(renderer.photographs.recoloured(mesh.on_mesh, 1 / fit.folds))
+        self.photographs = renderer.photographs.recoloured(partial(coloured, self.meshes))
 
     @property
     def nbytes(self) -> int:
         """Memory held by prepared photographs, bytes."""
-        return sum(photographs.nbytes for photographs in self.photographs)
+        return self.photographs.nbytes
 
     def see(self, camera: Camera, view: View) -> Gathered:
         """What mesh and other photographs show of a training view."""
         fold, padded = self.fit.fold_of(view), self.padded(camera)
-        return self.photographs[fold].gather(padded, *self.meshes[fold].on_mesh(padded), {view.name})
+        return self.photographs.gather(padded, *self.meshes[fold].on_mesh(padded), {view.name}, fold)
