@@ -57,7 +57,7 @@ def main(
     weights: Path,
     output: Path,
 ) -> None:
-    """Train and judge every rung on every scene; write ladder.json and ladder.md."""
+    """Train and judge every rung on every scene; write ladder-M-minutes.json and .md."""
     minutes = 1 / 3 if quick else minutes
     counts = [1 if quick else int(count) for count in seeds.split(",")]
     counts += counts[-1:] * (len(scenes) - len(counts))
@@ -80,7 +80,7 @@ def main(
     for (scene, rung, _), record in zip(runs, sweep.measure(jobs), strict=True):
         row = results["scenes"].setdefault(scene.name, {}).setdefault(rung, [])
         row.append({**record, "parts": _parts(loaded[scene.name], record["views"])})
-    write(output, "ladder", results, _table(results))
+    write(output, f"ladder-{minutes:.2g}-minutes", results, _table(results))
     click.echo(_table(results))
 
 

@@ -25,6 +25,7 @@ from nmbg.atomic import atomic_file
 from nmbg.cameras import Camera
 from nmbg.evaluation.figures import Row, sheet
 from nmbg.images import write_image
+from nmbg.paths import through
 from nmbg.progress import progress_bar
 from nmbg.scene import Scene
 from nmbg.sight import look
@@ -49,7 +50,7 @@ class Step(NamedTuple):
 def main(runs: tuple[Path, ...], frames: int, first: int, views: int, output: Path) -> None:
     """Render one path with each of RUNS, which share a scene, and measure how much neighbours differ."""
     scene = Scene.load(load_run(runs[0]).source)
-    path = smooth_path([view.camera for view in scene.train[first : first + views]], frames)
+    path = through([view.camera for view in scene.train[first : first + views]], frames)
     depths = [look(scene.mesh, camera).depth for camera in path]
     results: dict[str, Any] = {
         "command": command(),
@@ -96,19 +97,6 @@ def _table(results: dict[str, Any]) -> str:
         figures = f"{row['mean']:.5f} | {row['largest']:.5f} | {row['largest_over_median']:.2f}"
         lines.append(f"| {name} | {figures} | {row['psnr']:.2f} |")
     return "\n".join(lines) + "\n"
-
-
-def smooth_path(cameras: list[Camera], frames: int) -> list[Camera]:
-    """Cameras along a polyline through the given ones, evenly in time; rotations are mixed."""
-    path = []
-    for place in np.linspace(0, len(cameras) - 1, frames):
-        i = min(int(place), len(cameras) - 2)
-        a, b, share = cameras[i], cameras[i + 1], place - i
-        u, _, vt = np.linalg.svd((1 - share) * a.R + share * b.R)
-        R = u @ vt
-        centre = (1 - share) * a.centre + share * b.centre
-        path.append(Camera(cameras[0].K, R, -R @ centre, cameras[0].width, cameras[0].height))
-    return path
 
 
 def differences(images: Sequence[Tensor], path: Sequence[Camera], depths: Sequence[Tensor]) -> list[Step]:

@@ -30,8 +30,8 @@ from stress.cameras import disturbed
 from nmbg.evaluation.evaluate import evaluate
 from nmbg.reconstruct.poses import without_common_motion
 from nmbg.scene import Scene
-from nmbg.training.checkpoint import load_views
 from nmbg.training.config import PRESETS
+from nmbg.training.run_views import load_views
 from nmbg.training.trainer import train
 
 

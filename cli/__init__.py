@@ -28,6 +28,7 @@ COMMANDS = {
     "preprocess": "Turn a COLMAP workspace into a scene folder.",
     "train": "Train a scene.",
     "eval": "Render a run's held-out views and measure them.",
+    "render": "Render a run along a camera path.",
     "compare": "Show several evaluated runs side by side.",
     "export": "Write a run in a compact form.",
     "demo": "Generate a small capture, train it and show held-out views.",

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from path import differences, smooth_path
+from path import differences
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 from warp import psnr, warped
@@ -20,6 +20,7 @@ from nmbg.atomic import atomic_file
 from nmbg.cameras import Camera
 from nmbg.images import resize, write_image
 from nmbg.model.renderer import Renderer
+from nmbg.paths import through
 from nmbg.progress import progress_bar
 from nmbg.scene import Scene, View, evenly
 from nmbg.sight import look
@@ -234,7 +235,7 @@ def flicker(renderer: Renderer, scene: Scene, folder: Path, finished: bool) -> d
     """PSNR of the frames of a smooth path and the ones before them, warped: mean and least, dB."""
 
     def compute() -> dict[str, Any]:
-        path = smooth_path([view.camera for view in scene.train[:PATH_VIEWS]], FRAMES)
+        path = through([view.camera for view in scene.train[:PATH_VIEWS]], FRAMES)
         depths = [look(scene.mesh, camera).depth for camera in path]
         steps = differences([renderer.render(camera) for camera in path], path, depths)
         values = [step.psnr for step in steps if step.psnr is not None]

@@ -12,7 +12,7 @@ from nmbg.errors import NmbgError
 from nmbg.preprocess import PreprocessOptions, preprocess
 from nmbg.reconstruct.poses import _step, refine_poses, without_common_motion
 from nmbg.scene import Scene
-from nmbg.training import checkpoint
+from nmbg.training.run_views import load_cameras, load_views, save_views
 
 K = np.array([[80.0, 0, 40], [0, 80.0, 30], [0, 0, 1]])
 
@@ -124,15 +124,19 @@ def _shift(a: Camera, b: Camera, point: np.ndarray) -> float:
 def test_poses_of_a_run_are_kept(scene_folder: Path, tmp_path: Path) -> None:
     scene = Scene.load(scene_folder)
     views = tuple(replace(v, camera=moved(v.camera, np.full(6, 0.01))) for v in scene.views)
-    checkpoint.save_views(tmp_path, replace(scene, views=views), {})
-    found = checkpoint.load_views(tmp_path, scene)
+    save_views(tmp_path, replace(scene, views=views), {})
+    found = load_views(tmp_path, scene)
     for view, old, new in zip(found.views, scene.views, views, strict=True):
         wanted = new if view.split == "train" else old
         np.testing.assert_allclose(view.camera.projection, wanted.camera.projection, atol=1e-12)
+    trained = [view.camera for view in found.train]
+    for read, camera in zip(load_cameras(tmp_path), trained, strict=True):
+        np.testing.assert_array_equal(read.projection, camera.projection)
+        assert (read.width, read.height) == (camera.width, camera.height)
 
 
-@pytest.mark.parametrize("content", ["", "[]", "{}", '{"left_out": {}, "poses": {}}'])
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"left_out": {}, "cameras": {}}'])
 def test_damaged_views_are_named(scene_folder: Path, tmp_path: Path, content: str) -> None:
     (tmp_path / "views.json").write_text(content)
     with pytest.raises(NmbgError, match=r"views\.json"):
-        checkpoint.load_views(tmp_path, Scene.load(scene_folder))
+        load_views(tmp_path, Scene.load(scene_folder))

@@ -11,9 +11,9 @@ from nmbg.demo.capture import CaptureConfig, make_capture
 from nmbg.images import Image
 from nmbg.preprocess import PreprocessOptions, preprocess
 from nmbg.scene import Scene, View
-from nmbg.training import checkpoint
 from nmbg.training.config import PRESETS
 from nmbg.training.inspection import doubtful
+from nmbg.training.run_views import load_views
 from nmbg.training.trainer import resume, train
 
 
@@ -95,7 +95,7 @@ def test_training_goes_on_without_them_and_says_so(
     name = scene.train[5].name
     assert f"{name} is left out" in capsys.readouterr().err.replace("\n", " ")
     assert name not in {view.name for view in Scene.load(run / "scene").views}
-    assert name not in {view.name for view in checkpoint.load_views(run, bad).views}
+    assert name not in {view.name for view in load_views(run, bad).views}
     content = (run / "config.yaml").read_text().replace("iterations: 3", "iterations: 5")
     (run / "config.yaml").write_text(content)
     resume(run)

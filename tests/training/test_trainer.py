@@ -25,6 +25,7 @@ from nmbg.model.renderer import Renderer
 from nmbg.scene import Scene, View
 from nmbg.training import checkpoint, loop
 from nmbg.training.config import PRESETS, TrainConfig
+from nmbg.training.run_views import load_exposures
 from nmbg.training.trainer import resume, train
 from nmbg.training.views import Example
 
@@ -425,7 +426,7 @@ def test_exposures_are_told_apart_from_what_is_photographed(
     monkeypatch.setattr(Scene, "load_image", dim)
     config = replace(SMALL["mesh"], iterations=0, start="mean", validation_views=0)
     run = train(scene, replace(config, exposure=True), tmp_path / "exposed")
-    exposures = checkpoint.load_exposures(run)
+    exposures = load_exposures(run)
     assert exposures is not None
     gains = {name: float(e.gain.mean()) for name, e in zip(exposures.names, exposures.values, strict=True)}
     assert min(gains, key=lambda name: gains[name]) == dark

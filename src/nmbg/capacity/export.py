@@ -15,6 +15,7 @@ from nmbg.mesh import Mesh, inside
 from nmbg.packed_mesh import load_packed, save_packed
 from nmbg.scene import GEOMETRY, PACKED_GEOMETRY, Scene
 from nmbg.training import checkpoint
+from nmbg.training.run_views import VIEWS
 
 # Steps of the vertices' grid in the scene's radius: about a sixteenth of a pixel at 1000 pixels.
 GRID = 2**14
@@ -38,7 +39,7 @@ def export_compact(run: Path, output: Path, overwrite: bool = False) -> Path:
     checkpoint.load_run(run)  # what is damaged is refused before anything is written
     with atomic_folder(output, overwrite) as temporary:
         checkpoint.save_config(temporary, output, {source.name: source}, config)
-        shutil.copyfile(run / checkpoint.VIEWS, temporary / checkpoint.VIEWS)
+        shutil.copyfile(run / VIEWS, temporary / VIEWS)
         folder = temporary / checkpoint.SCENE
         shutil.copytree(run / checkpoint.SCENE, folder)
         scene = Scene.load(folder)

@@ -19,8 +19,9 @@ from nmbg.evaluation.report import write_report
 from nmbg.evaluation.results import Report, write_results
 from nmbg.images import Image
 from nmbg.scene import Scene, Split, View, evenly
-from nmbg.training.checkpoint import Run, load_run, load_views
+from nmbg.training.checkpoint import Run, load_run
 from nmbg.training.left_out import LeftOut, can_leave_out, refit_left_out
+from nmbg.training.run_views import load_views
 
 
 def evaluate(

@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 import yaml
 from safetensors import SafetensorError
@@ -25,15 +24,14 @@ from nmbg.capacity.storage import Storage, store
 from nmbg.errors import NmbgError
 from nmbg.mesh import Mesh, split_layers
 from nmbg.model.config import ModelConfig
-from nmbg.model.exposure import Exposure, Exposures
 from nmbg.model.renderer import Renderer
 from nmbg.scene import Scene, View
 from nmbg.training.config import Stage, TrainConfig
+from nmbg.training.run_views import load_exposures
 
 CONFIG = "config.yaml"
 SCENE = "scene"
 SCENES = "scenes"
-VIEWS = "views.json"
 OPTIMISERS = "optimisers.pt"
 
 
@@ -122,78 +120,6 @@ def save_scene(run: Path, scene: Scene, views: Sequence[View], storage: Storage)
     """Write what rendering needs of a scene into the run: its geometry and these photographs."""
     folder = run / SCENE
     replace(scene, views=store(scene, views, folder, storage)).save(folder)
-
-
-def save_views(
-    run: Path, scene: Scene, left_out: Mapping[str, str], exposures: Exposures | None = None
-) -> None:
-    """Write views.json.
-
-    Args:
-        run: run folder.
-        scene: gives the training views, at their places in the run.
-        left_out: views that the run leaves out, and why.
-        exposures: of training photographs, where the run takes them into account.
-    """
-    poses = {v.name: {"R": v.camera.R.tolist(), "t": v.camera.t.tolist()} for v in scene.train}
-    with atomic_file(run / VIEWS) as path:
-        content = {"left_out": dict(left_out), "poses": poses, "exposures": None}
-        if exposures is not None:
-            content["exposures"] = {
-                name: {part: value.flatten().tolist() for part, value in exposure._asdict().items()}
-                for name, exposure in zip(exposures.names, exposures.values, strict=True)
-            }
-        path.write_text(json.dumps(content, indent=1) + "\n")
-
-
-def load_views(run: Path, scene: Scene) -> Scene:
-    """A scene with the training views that a run has, at their places in the run.
-
-    Raises:
-        NmbgError: the file is missing or damaged, or belongs to another scene.
-    """
-    path = run / VIEWS
-    try:
-        content = json.loads(path.read_text())
-        poses = {
-            name: (np.array(pose["R"]).reshape(3, 3), np.array(pose["t"]).reshape(3))
-            for name, pose in content["poses"].items()
-        }
-        views = []
-        for view in scene.views:
-            if view.split == "train" and view.name not in content["left_out"]:
-                R, t = poses[view.name]
-                views.append(replace(view, camera=replace(view.camera, R=R, t=t)))
-            elif view.split == "test":
-                views.append(view)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise NmbgError(f"{path}: damaged, or of another scene; train the run anew") from error
-    return replace(scene, views=tuple(views))
-
-
-def load_exposures(run: Path) -> Exposures | None:
-    """The exposures of training photographs that a run takes into account, if it does.
-
-    Args:
-        run: run folder.
-
-    Raises:
-        NmbgError: the file is missing or damaged.
-    """
-    path = run / VIEWS
-    try:
-        content = json.loads(path.read_text())
-        found, poses = content["exposures"], content["poses"]
-        if found is None:
-            return None
-        centres = [-np.array(poses[name]["R"]).T @ np.array(poses[name]["t"]) for name in found]
-        values = [
-            Exposure(*(torch.tensor(found[name][part])[:, None, None] for part in ("gain", "offset")))
-            for name in found
-        ]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise NmbgError(f"{path}: damaged, or of another scene; train the run anew") from error
-    return Exposures(tuple(found), np.stack(centres), tuple(values))
 
 
 def load_config(run: Path) -> tuple[dict[str, Path], TrainConfig]:

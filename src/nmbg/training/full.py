@@ -27,6 +27,7 @@ from nmbg.training.config import TrainConfig
 from nmbg.training.initial import take_over
 from nmbg.training.loop import Loop
 from nmbg.training.member import Member, begin, split_training
+from nmbg.training.run_views import load_views
 from nmbg.training.schedule import extra_steps, shard
 from nmbg.training.shelf import GIB
 from nmbg.training.trainer import make_adversary, make_perceptual, smallest_window, with_layers
@@ -188,7 +189,7 @@ class _Company:
         """From now on the network's gradients are averaged; the scenes' folders are complete."""
         self.network = processes.shared(self.bare)
         for name, folder in self.scenes.items():
-            scene = checkpoint.load_views(self.run / SCENES / name, Scene.load(folder))
+            scene = load_views(self.run / SCENES / name, Scene.load(folder))
             self.counts.append(len(split_training(scene, self.config)[0]))
         share = self.config.artificial_views
         (length,) = processes.largest([sum(count + extra_steps(count, share) for count in self.counts)])

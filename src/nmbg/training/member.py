@@ -27,6 +27,7 @@ from nmbg.training.config import AS_TAKEN, TrainConfig
 from nmbg.training.inspection import doubtful, without
 from nmbg.training.left_out import LeftOut, can_leave_out, fit_left_out, refit_left_out
 from nmbg.training.optimiser import Part, descriptors_part
+from nmbg.training.run_views import load_exposures, load_views, save_views
 from nmbg.training.start import ColourFit, mean_colours
 from nmbg.training.views import Example, Views, random_window
 
@@ -56,7 +57,7 @@ class Member:
         checkpoint.remember_photographs(folder, renderer, config.cache_gib)
         if fit is None and can_leave_out(config):
             fit = refit_left_out(renderer, scene)
-        renderer.exposures = checkpoint.load_exposures(folder)
+        renderer.exposures = load_exposures(folder)
         self.left_out = None if fit is None or not can_leave_out(config) else LeftOut(renderer, fit)
         self.training, self.validation = make_views(scene, config, renderer, self.left_out, folder)
         self.artificial = ArtificialCameras(scene) if config.artificial_views else None
@@ -69,7 +70,7 @@ class Member:
         """Load a scene from its run folder, as a checkpoint of it says, but for the network."""
         source, _ = checkpoint.load_one(folder)
         mesh = Scene.load(folder / checkpoint.SCENE).mesh
-        scene = replace(checkpoint.load_views(folder, Scene.load(source)), mesh=mesh)
+        scene = replace(load_views(folder, Scene.load(source)), mesh=mesh)
         renderer = checkpoint.build_renderer(scene, config, network)
         checkpoint.load_module(at, "descriptors", renderer.descriptors)
         member = Member(folder, scene, config, renderer)
@@ -177,7 +178,7 @@ def begin(
     if "geometry" in config.refine:
         scene = replace(scene, mesh=refine_geometry(scene, views=views_for(config.minutes)))
     exposures = fit_exposures(scene, split_training(scene, config)[0]) if config.exposure else None
-    checkpoint.save_views(folder, scene, left_out, exposures)
+    save_views(folder, scene, left_out, exposures)
     planned = plan(scene, config)
     scene, config = planned.scene, planned.config
     renderer = checkpoint.build_renderer(scene, config, planned.network if network is None else network)
