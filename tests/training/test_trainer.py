@@ -351,9 +351,11 @@ def test_a_network_learns_from_what_the_other_photographs_show(
     seen: dict[str, Gathered] = {}
     black = ""
 
-    def spy(self: Photographs, camera: Camera, base: Tensor, depth: Tensor, without: set[str]) -> Gathered:
+    def spy(
+        self: Photographs, camera: Camera, base: Tensor, depth: Tensor, without: set[str], colouring: int
+    ) -> Gathered:
         (name,) = without
-        seen[name] = gather(self, camera, base, depth, without)
+        seen[name] = gather(self, camera, base, depth, without, colouring)
         return seen[name]
 
     def painted(self: Scene, view: View) -> Image:
