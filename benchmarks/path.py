@@ -15,7 +15,6 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
 import numpy as np
-import torch
 from options import output_option
 from record import command, provenance, write
 from torch import Tensor
@@ -24,7 +23,7 @@ from warp import psnr, warped
 from nmbg.atomic import atomic_file
 from nmbg.cameras import Camera
 from nmbg.evaluation.figures import Row, sheet
-from nmbg.images import write_image
+from nmbg.images import to_bytes, write_image
 from nmbg.paths import through
 from nmbg.progress import progress_bar
 from nmbg.scene import Scene
@@ -75,8 +74,7 @@ def main(runs: tuple[Path, ...], frames: int, first: int, views: int, output: Pa
             "steps": errors,
         }
         shown = np.linspace(0, frames - 1, SHOWN).round().astype(int)
-        panels = [(images[i].permute(1, 2, 0) * 255).round().to(torch.uint8).numpy() for i in shown]
-        rows.append(Row(run.name, tuple(np.ascontiguousarray(panel) for panel in panels)))
+        rows.append(Row(run.name, tuple(to_bytes(images[i]) for i in shown)))
         headings = [f"frame {i}" for i in shown]
     output.mkdir(parents=True, exist_ok=True)
     with atomic_file(output / "sheet.png") as picture:

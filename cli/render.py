@@ -22,7 +22,9 @@ from nmbg.cli.options import FOLDER, NEW_FOLDER, device_option, overwrite_option
     show_default=True,
     help="Training views that the camera passes through, spread evenly over their names.",
 )
-@click.option("--frames", type=click.IntRange(min=2), default=120, show_default=True)
+@click.option(
+    "--frames", type=click.IntRange(min=2), default=120, show_default=True, help="On the whole path."
+)
 @click.option("--fps", type=click.FloatRange(min=1), default=30.0, show_default=True, help="Of a video.")
 @click.option(
     "--max-size",

@@ -18,7 +18,7 @@ from warp import psnr, warped
 
 from nmbg.atomic import atomic_file
 from nmbg.cameras import Camera
-from nmbg.images import resize, write_image
+from nmbg.images import resize, to_bytes, write_image
 from nmbg.model.renderer import Renderer
 from nmbg.paths import through
 from nmbg.progress import progress_bar
@@ -142,7 +142,7 @@ def measure(
                 values.append(_compare(renderer, image, camera, view, scale, scene))
                 if view is views[len(views) // 2]:
                     folder.mkdir(parents=True, exist_ok=True)
-                    write_image(folder / f"{name}.png", _bytes(image.nan_to_num()))
+                    write_image(folder / f"{name}.png", to_bytes(image.nan_to_num()))
             known = [value for value in values if value is not None]
             psnr, loss = (
                 (sum(each) / len(known) for each in zip(*known, strict=True)) if known else (None, None)
@@ -160,10 +160,10 @@ def _compare(
 ) -> tuple[float, float] | None:
     """PSNR over what the photograph shows as well, at the resolution of the coarser; what it loses."""
     of, photograph = view.camera, scene.load_image(view)
-    own = _bytes(renderer.render(of, without={view.name}))
+    own = to_bytes(renderer.render(of, without={view.name}))
     if scale > 1:
         small = camera.resized(max(1, round(camera.width / scale)), max(1, round(camera.height / scale)))
-        image, camera = _tensor(resize(_bytes(image), small.width, small.height)), small
+        image, camera = _tensor(resize(to_bytes(image), small.width, small.height)), small
     elif scale < 1:
         of = of.resized(max(1, round(of.width * scale)), max(1, round(of.height * scale)))
         photograph, own = (resize(x, of.width, of.height) for x in (photograph, own))
@@ -253,10 +253,6 @@ def _kept(path: Path, compute: Callable[[], dict[str, Any]], finished: bool) -> 
             temporary.write_text(json.dumps(compute()))
     found: dict[str, Any] = json.loads(path.read_text())
     return found
-
-
-def _bytes(image: Tensor) -> Any:
-    return (image.permute(1, 2, 0).clamp(0, 1) * 255).round().to(torch.uint8).contiguous().numpy()
 
 
 def _tensor(image: Any) -> Tensor:

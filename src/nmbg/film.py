@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
-
-import torch
 
 from nmbg.atomic import atomic_file, atomic_folder
 from nmbg.cameras import Camera
 from nmbg.errors import NmbgError
-from nmbg.images import Image, write_image
+from nmbg.images import Image, to_bytes, write_image
 from nmbg.model.renderer import Renderer
 from nmbg.progress import progress_bar
 
@@ -40,27 +39,29 @@ def film(
         return
     if output.exists() and not overwrite:
         raise NmbgError(f"{output}: exists; use --overwrite or another name")
-    with atomic_file(output) as file:
-        _write_video(file, _frames(renderer, path), path[0], fps)
+    _write_video(output, _frames(renderer, path), path[0], fps)
 
 
 def _frames(renderer: Renderer, path: Sequence[Camera]) -> Iterator[Image]:
     """Renders, [H, W, 3] uint8."""
     with progress_bar() as bar:
         for camera in bar.track(path, description="rendering"):
-            image = renderer.render(camera).permute(1, 2, 0)
-            yield (image * 255).round().to(torch.uint8).contiguous().numpy()
+            yield to_bytes(renderer.render(camera))
 
 
-def _write_video(file: Path, frames: Iterator[Image], camera: Camera, fps: float) -> None:
+def _write_video(output: Path, frames: Iterator[Image], camera: Camera, fps: float) -> None:
     """Write H.264, whose sides are even: an odd last row or column is left out."""
     try:
         import imageio_ffmpeg
     except ImportError as error:
-        raise NmbgError(f"{file.name}: videos need ffmpeg: pip install 'nmbg[video]'") from error
+        raise NmbgError(f"{output}: videos need ffmpeg: pip install 'nmbg[video]'") from error
     width, height = camera.width // 2 * 2, camera.height // 2 * 2
-    writer = imageio_ffmpeg.write_frames(str(file), (width, height), fps=fps, quality=8, macro_block_size=1)
-    writer.send(None)
-    for frame in frames:
-        writer.send(frame[:height, :width].copy())
-    writer.close()
+    with (
+        atomic_file(output) as file,
+        closing(
+            imageio_ffmpeg.write_frames(str(file), (width, height), fps=fps, quality=8, macro_block_size=1)
+        ) as writer,
+    ):
+        writer.send(None)
+        for frame in frames:
+            writer.send(frame[:height, :width].copy())

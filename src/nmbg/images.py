@@ -73,6 +73,12 @@ def write_image(path: Path, image: npt.NDArray[np.uint8], quality: int | None = 
         raise NmbgError(f"{path}: cannot be written ({_one_line(out.geterror())}); is the disk full?")
 
 
+def to_bytes(image: Tensor) -> Image:
+    """[3, H, W] in about [0, 1], cut off there → [H, W, 3] uint8."""
+    pixels: Image = (image.permute(1, 2, 0).clamp(0, 1) * 255).round().byte().contiguous().numpy()
+    return pixels
+
+
 def can_write(suffix: str) -> bool:
     """Whether OpenImageIO was built with this format."""
     return oiio.ImageOutput.create(f"image{suffix}") is not None

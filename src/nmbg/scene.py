@@ -181,12 +181,20 @@ def _scene_from_record(folder: Path, mesh: Mesh, record: dict[str, Any]) -> Scen
 
 
 def _view_record(view: View) -> dict[str, Any]:
-    camera = view.camera
+    files = {"name": view.name, "image": view.image, "mask": view.mask, "split": view.split}
+    return {**files, **camera_record(view.camera)}
+
+
+def _view_from_record(record: dict[str, Any]) -> View:
+    camera = camera_from_record(record)
+    if record["split"] not in ("train", "test"):
+        raise ValueError(f"split {record['split']!r}")
+    return View(record["name"], camera, record["split"], record["image"], record["mask"])
+
+
+def camera_record(camera: Camera) -> dict[str, Any]:
+    """A camera as JSON holds it."""
     return {
-        "name": view.name,
-        "image": view.image,
-        "mask": view.mask,
-        "split": view.split,
         "width": camera.width,
         "height": camera.height,
         "K": camera.K.tolist(),
@@ -195,17 +203,19 @@ def _view_record(view: View) -> dict[str, Any]:
     }
 
 
-def _view_from_record(record: dict[str, Any]) -> View:
-    camera = Camera(
+def camera_from_record(record: dict[str, Any]) -> Camera:
+    """The camera of such a record.
+
+    Raises:
+        KeyError, TypeError, ValueError: the record is damaged.
+    """
+    return Camera(
         K=_array(record["K"], (3, 3)),
         R=_array(record["R"], (3, 3)),
         t=_array(record["t"], (3,)),
         width=int(record["width"]),
         height=int(record["height"]),
     )
-    if record["split"] not in ("train", "test"):
-        raise ValueError(f"split {record['split']!r}")
-    return View(record["name"], camera, record["split"], record["image"], record["mask"])
 
 
 def _array(values: Sequence[Any], shape: tuple[int, ...]) -> npt.NDArray[np.float64]:

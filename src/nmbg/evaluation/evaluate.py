@@ -17,7 +17,7 @@ from nmbg.evaluation.machine import machine, peak_memory_gib
 from nmbg.evaluation.metrics import make_metrics
 from nmbg.evaluation.report import write_report
 from nmbg.evaluation.results import Report, write_results
-from nmbg.images import Image
+from nmbg.images import Image, to_bytes
 from nmbg.scene import Scene, Split, View, evenly
 from nmbg.training.checkpoint import Run, load_run
 from nmbg.training.left_out import LeftOut, can_leave_out, refit_left_out
@@ -65,7 +65,7 @@ def evaluate(
         start = time.perf_counter()
         image = show(view)
         seconds[view.name] = time.perf_counter() - start
-        return _to_bytes(image, view)
+        return _checked(image, view)
 
     judged = judge(run_folder, scene, views, split, measures, render)
     report = Report(
@@ -100,8 +100,8 @@ def _shows(run: Run, scene: Scene, split: Split) -> Callable[[View], Tensor]:
     return show
 
 
-def _to_bytes(render: Tensor, view: View) -> Image:
+def _checked(render: Tensor, view: View) -> Image:
     """[3, H, W] in [0, 1] → [H, W, 3] uint8."""
     if not bool(torch.isfinite(render).all()):
         raise NmbgError(f"{view.name}: the render holds values that are not finite; train the run anew")
-    return (render.permute(1, 2, 0).clamp(0, 1) * 255).round().to(torch.uint8).contiguous().numpy()
+    return to_bytes(render)

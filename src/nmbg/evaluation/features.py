@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from nmbg.cameras import Camera
-from nmbg.images import Image
+from nmbg.images import Image, to_bytes
 from nmbg.model.descriptors import Descriptors
 from nmbg.model.fragments import LayerFragments
 from nmbg.model.renderer import Renderer
@@ -48,8 +48,8 @@ def feature_panels(renderer: Renderer, camera: Camera, without: str = "") -> lis
         base, depth = renderer.on_mesh(camera)
         gathered = renderer.photographs.gather(camera, base, depth, {without})
         return [
-            Panel("mesh, colours", _bytes(base), _grey(depth > 0)),
-            Panel("photographs, blended over the mesh", _bytes(gathered.blended()), _grey(gathered.trust)),
+            Panel("mesh, colours", to_bytes(base), _grey(depth > 0)),
+            Panel("photographs, blended over the mesh", to_bytes(gathered.blended()), _grey(gathered.trust)),
         ]
     names = ("foreground", "background") if len(renderer.layers) > 1 else ("mesh",)
     panels = []
@@ -59,7 +59,7 @@ def feature_panels(renderer: Renderer, camera: Camera, without: str = "") -> lis
             crop = (..., slice(camera.height), slice(camera.width))
             features, mask = features[crop].cpu(), mask[crop]
             shown = (
-                _bytes(features + 0.5)
+                to_bytes(features + 0.5)
                 if renderer.config.features == 3
                 else principal_colours(features, mask > 0)
             )
@@ -101,12 +101,6 @@ def _kinds(image: Tensor, layer: LayerFragments, count: int) -> list[tuple[str, 
     if level.index is not None and len(image):
         kinds.append(("points", image[:count], (level.index >= 0).float()))
     return kinds
-
-
-def _bytes(image: Tensor) -> Image:
-    """[3, H, W] about [0, 1] → [H, W, 3] uint8."""
-    pixels: Image = (image.permute(1, 2, 0).clamp(0, 1) * 255).round().byte().contiguous().numpy()
-    return pixels
 
 
 def _grey(mask: Tensor) -> Image:

@@ -15,7 +15,7 @@ from nmbg.atomic import atomic_file
 from nmbg.cameras import Camera
 from nmbg.errors import NmbgError
 from nmbg.model.exposure import Exposure, Exposures
-from nmbg.scene import Scene, View
+from nmbg.scene import Scene, View, camera_from_record, camera_record
 
 VIEWS = "views.json"
 
@@ -35,7 +35,7 @@ def save_views(
     """
     content: dict[str, Any] = {
         "left_out": dict(left_out),
-        "cameras": {view.name: _written(view.camera) for view in scene.train},
+        "cameras": {view.name: camera_record(view.camera) for view in scene.train},
         "exposures": None,
     }
     if exposures is not None:
@@ -58,7 +58,7 @@ def load_views(run: Path, scene: Scene) -> Scene:
         views = []
         for view in scene.views:
             if view.split == "train" and view.name not in content["left_out"]:
-                camera = _read(content["cameras"][view.name])
+                camera = camera_from_record(content["cameras"][view.name])
                 views.append(replace(view, camera=replace(view.camera, R=camera.R, t=camera.t)))
             elif view.split == "test":
                 views.append(view)
@@ -73,7 +73,9 @@ def load_cameras(run: Path) -> list[Camera]:
     Raises:
         NmbgError: the file is missing or damaged.
     """
-    return _parsed(run, lambda content: [_read(written) for written in content["cameras"].values()])
+    return _parsed(
+        run, lambda content: [camera_from_record(record) for record in content["cameras"].values()]
+    )
 
 
 def load_exposures(run: Path) -> Exposures | None:
@@ -87,7 +89,7 @@ def load_exposures(run: Path) -> Exposures | None:
         found = content["exposures"]
         if found is None:
             return None
-        centres = [_read(content["cameras"][name]).centre for name in found]
+        centres = [camera_from_record(content["cameras"][name]).centre for name in found]
         values = [
             Exposure(*(torch.tensor(found[name][part])[:, None, None] for part in ("gain", "offset")))
             for name in found
@@ -103,14 +105,3 @@ def _parsed(run: Path, parse: Callable[[Any], T]) -> T:
         return parse(json.loads(path.read_text()))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise NmbgError(f"{path}: damaged, or of another scene; train the run anew") from error
-
-
-def _written(camera: Camera) -> dict[str, Any]:
-    arrays = {name: getattr(camera, name).tolist() for name in ("K", "R", "t")}
-    return {**arrays, "width": camera.width, "height": camera.height}
-
-
-def _read(written: dict[str, Any]) -> Camera:
-    K, R = (np.array(written[name], np.float64).reshape(3, 3) for name in ("K", "R"))
-    t = np.array(written["t"], np.float64).reshape(3)
-    return Camera(K, R, t, int(written["width"]), int(written["height"]))
