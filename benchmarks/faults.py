@@ -10,7 +10,6 @@ stability.py, in steps. Finished runs are kept. `--quick` takes mesh and photos,
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Callable
@@ -30,7 +29,6 @@ from sweep import STEPS, Job, Sweep, trained_in_steps
 from nmbg.images import write_image
 from nmbg.scene import Scene, View
 from nmbg.training import loop
-from nmbg.training.run_views import VIEWS
 
 PRESETS = ("mesh", "photos", "npbg", "paper", "nmbg")
 
@@ -104,8 +102,7 @@ def main(scene: Path, presets: str, quick: bool, weights: Path, output: Path) ->
         rows[fault] = {
             job.config.preset: {
                 **record["figures"],
-                "named": name in json.loads((sweep.folder(job) / VIEWS).read_text())["left_out"]
-                or name in record["figures"]["skipped"],
+                "named": name in record["left_out"] or name in record["figures"]["skipped"],
             }
             for job, record in zip(jobs, records, strict=True)
         }

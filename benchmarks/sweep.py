@@ -23,6 +23,7 @@ from nmbg.scene import Scene
 from nmbg.training.checkpoint import latest_checkpoint, load_progress
 from nmbg.training.config import PRESETS, VGG_TO_RELU3, TrainConfig
 from nmbg.training.precision import bf16_is_faster
+from nmbg.training.run_views import VIEWS
 from nmbg.training.trainer import train
 
 METRICS = ("psnr", "ssim", "ssim_svs", "lpips")
@@ -154,6 +155,7 @@ class Sweep:
             **provenance(),
             "figures": figures,
             "views": report.views,
+            "left_out": json.loads((run / VIEWS).read_text())["left_out"],
         }
         middle = scene.test[len(scene.test) // 2]
         self._path(job).parent.mkdir(parents=True, exist_ok=True)
