@@ -99,6 +99,6 @@ def main() -> None:
 
     \b
     Example: nmbg preprocess photos/dense out/room
-             nmbg train out/room --output out/room-run --minutes 15
+             nmbg train out/room --output out/room-run --minutes 5
              nmbg eval out/room-run --metrics psnr ssim
     """

@@ -48,7 +48,7 @@ ZOOM = click.FloatRange(min=0, min_open=True)
 
 
 @click.command(
-    epilog="\b\nExamples:\n  nmbg train out/room --output out/room-run --minutes 15\n"
+    epilog="\b\nExamples:\n  nmbg train out/room --output out/room-run --minutes 5\n"
     "  nmbg train out/room out/garden --preset paper --output out/both --weights DIR\n"
     "  nmbg train out/hall --preset paper --init out/both --output out/hall-run --weights DIR\n"
     "  torchrun --nproc-per-node 2 -m nmbg train out/room out/garden --preset paper --output out/both"

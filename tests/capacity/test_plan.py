@@ -106,25 +106,34 @@ def test_export_says_what_it_needs(run: Path, tmp_path: Path) -> None:
 
 
 def test_candidates_are_smaller_than_the_full_size() -> None:
-    full = PRESETS["nmbg"].model.widths
-    for hole, levels in ((5, 2), (100, 3)):
-        *small, last = candidates(full, hole)
+    for full in (PRESETS["nmbg"].model.widths, (32,), (8,), (4, 4)):
+        *small, last = candidates(full)
         assert last == full
-        assert all(len(widths) == levels and widths[0] < full[0] for widths in small)
+        assert all(len(widths) == 1 and widths[0] <= full[0] and widths != full for widths in small)
+    assert len(candidates(PRESETS["nmbg"].model.widths)) == 4
 
 
 def test_multiply_adds_of_a_network_by_hand(scene_folder: Path) -> None:
     scene = Scene.load(scene_folder)
-    model = replace(PRESETS["nmbg"].model, widths=(8, 32))
+    model = replace(PRESETS["nmbg"].model, widths=(8, 16))
     renderer = Renderer(model, [scene.mesh])
-    camera = renderer.padded(scene.test[0].camera)
+    camera = scene.test[0].camera
     pixels, features = camera.width * camera.height, 28
-    fine = 9 * features * 16 + 9 * 32 * 8 + 9 * 16 * 16 + 8 * 8  # start, up, merge, out
-    coarse = 9 * 8 * 2 * (32 - features)
-    assert network_multiply_adds(renderer, camera) == pixels * fine + pixels // 4 * coarse
+    assert network_multiply_adds(renderer, camera) == 9 * pixels * (features * 8 + 8 * 16 + 16 * 8)
     assert multiply_adds(renderer, camera) > network_multiply_adds(renderer, camera)
     plain = Renderer(replace(model, widths=()), [scene.mesh])
     assert network_multiply_adds(plain, camera) == 0
+
+
+def test_multiply_adds_of_a_u_net_by_hand(scene_folder: Path) -> None:
+    scene = Scene.load(scene_folder)
+    model = replace(PRESETS["npbg"].model, widths=(8, 32))
+    renderer = Renderer(model, [scene.mesh])
+    camera = renderer.padded(scene.test[0].camera)
+    pixels, features = camera.width * camera.height, 8
+    fine = 9 * features * 16 + 9 * 32 * 8 + 9 * 16 * 16 + 8 * 3  # start, up, merge, out
+    coarse = 9 * 8 * 2 * (32 - features)
+    assert network_multiply_adds(renderer, camera) == pixels * fine + pixels // 4 * coarse
 
 
 def test_one_training_view_tells_nothing_about_the_network(scene_folder: Path) -> None:

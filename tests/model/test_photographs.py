@@ -186,7 +186,7 @@ def test_a_network_cannot_show_what_no_photograph_shows(scene: Scene) -> None:
     renderer = Renderer(PRESETS["nmbg"].model, [scene.mesh])
     renderer.remember(scene, scene.train)
     assert renderer.network is not None
-    torch.nn.init.normal_(renderer.network.out.weight[3:], std=5.0)
+    torch.nn.init.normal_(renderer.network.layers[-1].weight[3:], std=5.0)
     camera = scene.test[0].camera
     sight = renderer.see(camera)
     residual = renderer._fuse(sight) - sight.base.float()  # type: ignore[arg-type, union-attr]

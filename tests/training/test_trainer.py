@@ -152,7 +152,7 @@ def test_same_seed_same_run_and_another_seed_another(scene_folder: Path, tmp_pat
         state(train(scene, replace(SMALL["nmbg"], seed=seed), tmp_path / str(i)))
         for i, seed in enumerate([1, 1, 2])
     ]
-    key = "network.encoders.0.start.conv.weight"
+    key = "network.layers.0.weight"
     assert torch.equal(runs[0][key], runs[1][key])
     assert not torch.equal(runs[0][key], runs[2][key])
 

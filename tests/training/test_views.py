@@ -30,7 +30,7 @@ def test_crop_shows_the_part_of_the_frame_that_its_camera_says(scene_folder: Pat
     renderer.remember(scene, scene.train)
     views = Views(scene, scene.train, lambda camera, view: renderer.see(camera, view.name), 1.0)
     frame = views.frame(1)
-    crop = views.crop(1, 0.5, 8, torch.Generator().manual_seed(seed))
+    crop = views.crop(1, 0.5, torch.Generator().manual_seed(seed))
     assert (crop.camera.width, crop.camera.height) == (32, 24)
     x0, y0 = (round(c) for c in frame.camera.K[:2, 2] - crop.camera.K[:2, 2])
     assert torch.equal(crop.image, frame.image[:, y0 : y0 + 24, x0 : x0 + 32])

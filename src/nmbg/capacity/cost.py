@@ -9,7 +9,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from nmbg.cameras import Camera
-from nmbg.model.photographs import CANDIDATES
+from nmbg.model.photographs import CANDIDATES, count_features
 from nmbg.model.renderer import Renderer
 
 # Multiply-adds of a photograph in a pixel: warp 9, four depths 4, score 8; of one that is blended: four
@@ -37,14 +37,12 @@ def network_multiply_adds(renderer: Renderer, padded: Camera) -> int:
     """Multiply-adds of the network on a frame whose sizes are whole at every level."""
     if renderer.network is None:
         return 0
-    channels = renderer.network.encoders[0].start.conv.in_channels  # type: ignore[union-attr, index]
-    levels = [
-        torch.zeros(1, int(channels), padded.height >> k, padded.width >> k)
-        for k in range(renderer.config.levels)
-    ]
+    config = renderer.config
+    channels = count_features(config.sources) if config.sources else config.channels
+    levels = [torch.zeros(1, channels, padded.height >> k, padded.width >> k) for k in range(config.levels)]
     counter = FlopCounterMode(display=False)
     with torch.no_grad(), counter:
-        renderer.network([levels] * renderer.config.layers)
+        renderer.network(levels[0] if config.sources else [levels] * config.layers)
     return counter.get_total_flops() // 2
 
 

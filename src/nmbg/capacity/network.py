@@ -6,9 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
-from scipy.ndimage import distance_transform_edt
 from torch import Tensor, nn
 
 from nmbg.capacity.choices import Choice
@@ -30,8 +28,8 @@ SHARE = 0.2
 RUNNERS, JUDGES = 24, 8
 # What a smaller network may cost beside a larger one, or none beside the best.
 LIMIT = Score(0.02, 0.001)
-# Holes, pixels across, from which a network needs a third level: with two it sees some 20 pixels.
-HOLE = 20
+# One hidden layer of so many channels: what races against the full size.
+SMALL = (8, 16, 32)
 
 
 @dataclass
@@ -83,10 +81,7 @@ def race(
             [Choice("network: full", "nothing", "nothing", "one view tells nothing")],
         )
     running = evenly([view for view in scene.train if view not in judging], RUNNERS)
-    full = config.model.widths
-    multiple = 2 ** (len(full) - 1)
     left_out = LeftOut(renderer, fit)
-    left_out.padded = lambda camera: camera.padded(multiple)  # all racers see the same
     examples = Views(scene, tuple(running), left_out.see, config.cache_gib)
     sights = {view.name: left_out.see(view.camera, view) for view in judging}
     judge = Judge(scene, judging)
@@ -94,18 +89,14 @@ def race(
     def shown(render: Callable[[Gathered, View], Tensor]) -> Score:
         return judge.score(lambda view: render(sights[view.name], view))
 
-    def cropped(image: Tensor, view: View) -> Tensor:
-        return image[:, : view.camera.height, : view.camera.width]
-
-    none = shown(lambda sight, view: cropped(sight.blended(), view))
-    hole = max(_largest_hole(sight.trust) for sight in sights.values())
+    none = shown(lambda sight, view: sight.blended())
     racers, frame = [], judging[0].camera
-    for widths in candidates(full, hole):
+    for widths in candidates(config.model.widths):
         torch.manual_seed(config.seed)
         model = Renderer(replace(config.model, widths=widths), renderer.layers)
         model.photographs = renderer.photographs
         if fps is None or seconds_per_frame(model, frame) <= 1 / fps:
-            racers.append(Racer(model, network_multiply_adds(model, model.padded(frame)), none))
+            racers.append(Racer(model, network_multiply_adds(model, frame), none))
     if not racers:
         return (), None, [Choice("network: none", "all of it", "unknown", f"none reaches {fps:g} frames/s")]
 
@@ -114,7 +105,7 @@ def race(
     with progress_bar() as bar:
         for number in bar.track(range(rounds), description="races of networks"):
             for racer in left:
-                _run(racer, examples, config, multiple, 1 / (rounds * len(left)))
+                _run(racer, examples, config, 1 / (rounds * len(left)))
                 with torch.no_grad():
                     racer.score = shown(racer.show)
             if number + 1 < rounds:
@@ -130,30 +121,16 @@ def race(
         return (), None, [Choice("network: none", saved, none.cost_beside(best), f"the best {told}")]
     widths = chosen.renderer.config.widths
     saved = f"{(most - chosen.work) / 1e9:.1f} of {most / 1e9:.1f} G multiply-adds a frame"
-    reason = f"the best {told}; the largest hole is {hole} pixels across"
-    return (
-        widths,
-        chosen.network,
-        [Choice(f"network: {widths}", saved, chosen.score.cost_beside(best), reason)],
-    )
+    choice = Choice(f"network: {widths}", saved, chosen.score.cost_beside(best), f"the best {told}")
+    return widths, chosen.network, [choice]
 
 
-def candidates(full: tuple[int, ...], hole: int) -> list[tuple[int, ...]]:
-    """Widths that race: two small networks, of as many levels as the largest hole needs, and the full one.
-
-    Levels below the first hold more channels than the features that are appended there.
-    """
-    levels = 3 if hole > HOLE else 2
-    deeper = tuple(32 + 4 * i for i in range(levels - 1))
-    return [*((width, *deeper) for width in (8, 12) if width < full[0]), full]
+def candidates(full: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """Widths that race: one hidden layer, no wider than the first of the full size, and the full size."""
+    return [*((width,) for width in SMALL if width <= full[0] and (width,) != full), full]
 
 
-def _largest_hole(trust: Tensor) -> int:
-    """Width of the largest region that no photograph shows, pixels."""
-    return int(2 * np.max(distance_transform_edt(np.pad(trust.float().numpy() < 0.5, 1))))
-
-
-def _run(racer: Racer, examples: Views, config: TrainConfig, multiple: int, share: float) -> None:
+def _run(racer: Racer, examples: Views, config: TrainConfig, share: float) -> None:
     """Train a network for its share of the races, with a decay of its own."""
     rate = config.stages[-1].network_rate
     optimiser = torch.optim.Adam(racer.network.parameters(), lr=rate)
@@ -165,7 +142,7 @@ def _run(racer: Racer, examples: Views, config: TrainConfig, multiple: int, shar
     begin, step, done = time.monotonic(), 0, 0.0
     while done < 1:
         i = int(torch.randint(len(examples), (), generator=generator))
-        example = examples.crop(i, config.window, multiple, generator)
+        example = examples.crop(i, config.window, generator)
         assert example.image is not None
         image = racer.renderer(example.sight, example.camera)[None]
         target, mask = example.image[None] / 255, example.mask

@@ -20,7 +20,8 @@ class ModelConfig:
         point_radius: where the short image side spans [−1, 1] (paper: 0.006); None: half a pixel (NPBG).
         point_weight: weight points by 1 − d² / r²; NPBG has none.
         layers: 1, or 2 for foreground and background, split at the foreground sphere.
-        widths: channels of the U-Net per level (paper: 16, 32, 64, 128, 256); empty: no network.
+        widths: channels of the U-Net per level (paper: 16, 32, 64, 128, 256), or with `sources` of the hidden
+            layers of the network over the photographs, all at full resolution; empty: no network.
         norm: BatchNorm in the encoders (paper), or none.
         mask_channel: tell the network where each layer is covered.
         colour_skip: image = rendered colour + network, whose last convolution starts at zero. Where points
@@ -70,13 +71,13 @@ class ModelConfig:
 
     @property
     def levels(self) -> int:
-        """Levels of the image pyramid; 1 without a network."""
-        return max(1, len(self.widths))
+        """Levels of the image pyramid; 1 without a U-Net."""
+        return 1 if self.sources else max(1, len(self.widths))
 
     @property
     def rasterized_levels(self) -> int:
         """Levels that are rasterized; the rest are averages of the finest."""
-        return 1 if self.supersample > 1 or self.sources else self.levels
+        return 1 if self.supersample > 1 else self.levels
 
     @property
     def channels(self) -> int:

@@ -74,10 +74,12 @@ class Gathered:
         return self.base.float() + residual
 
     def features(self) -> Tensor:
-        """What a network may read, [features, H, W] float32: see `count_features`."""
-        blended = self.blended()
-        parts = [blended - 0.5, self.base - 0.5, self.shown.flatten(0, 1), self.weights]
-        parts += [self.trust[None], self.score[None]]
+        """What a network may read, [features, H, W] float32, each scaled to deviate by about one.
+
+        See `count_features`.
+        """
+        colours = [4 * (self.blended() - 0.5), 4 * (self.base.float() - 0.5), 16 * self.shown.flatten(0, 1)]
+        parts = [*colours, 4 * self.weights, self.trust[None], self.score[None]]
         return torch.cat([part.float() for part in parts])
 
 

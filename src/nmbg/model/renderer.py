@@ -16,7 +16,8 @@ from nmbg.model.config import ModelConfig
 from nmbg.model.descriptors import SH_CONSTANT, Descriptors
 from nmbg.model.exposure import Exposures
 from nmbg.model.fragments import LayerFragments, LevelFragments, rasterize_finest, rasterize_layer
-from nmbg.model.photographs import NOTHING, Gathered, Photographs, count_features
+from nmbg.model.fusion import Fusion
+from nmbg.model.photographs import NOTHING, Gathered, Photographs
 from nmbg.model.unet import UNet
 from nmbg.scene import Scene, View
 
@@ -75,9 +76,8 @@ class Renderer(nn.Module):
         """
         if self.photographs is None:
             return self.rasterize(camera, once=True)
-        padded = self.padded(camera)
         blend = self.photographs.over if self.network is None else self.photographs.gather
-        return blend(padded, *self.on_mesh(padded), without)
+        return blend(camera, *self.on_mesh(camera), without)
 
     def padded(self, camera: Camera) -> Camera:
         """The view extended so that the pyramid's sizes are whole."""
@@ -124,12 +124,9 @@ class Renderer(nn.Module):
         """Mesh and photographs as one image; the network re-weights the photographs and adds to them."""
         assert self.network is not None
         gathered = gathered.to(self._descriptors[0].coeffs.device)
-        pyramid = [gathered.features()[None].to(memory_format=torch.channels_last)]
-        while len(pyramid) < self.config.levels:
-            pyramid.append(F.avg_pool2d(pyramid[-1], 2))
-        added, preference = self.network([pyramid])[0].float().split([3, self.config.sources])
-        # Bounded: a weight of zero stays zero, and no source is ever lost for good.
-        weights = gathered.weights.float() * (4 * torch.tanh(preference / 4)).exp()
+        features = gathered.features()[None].to(memory_format=torch.channels_last)
+        added, preference = self.network(features)
+        weights = gathered.weights.float() * preference.exp()
         weights = weights / weights.sum(0).clamp(min=1e-6)
         residual = (gathered.shown.float() * weights[:, None]).sum(0)
         image: Tensor = gathered.base.float() + residual + added
@@ -183,17 +180,14 @@ def coloured(renderers: Sequence[Renderer], camera: Camera) -> tuple[list[Tensor
     return [renderer.colour([fragments], camera).cpu() for renderer in renderers], fragments.depth
 
 
-def make_network(config: ModelConfig) -> UNet | None:
+def make_network(config: ModelConfig) -> Fusion | UNet | None:
     """The network of a model with random weights; None where the model has none."""
     if not config.widths:
         return None
-    network = UNet(
-        config.layers,
-        count_features(config.sources) if config.sources else config.channels,
-        config.widths,
-        config.norm,
-        zero_start=config.colour_skip,
-        results=3 + config.sources,
+    network = (
+        Fusion(config.sources, config.widths)
+        if config.sources
+        else UNet(config.layers, config.channels, config.widths, config.norm, zero_start=config.colour_skip)
     )
     return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
 

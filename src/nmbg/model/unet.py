@@ -72,7 +72,6 @@ class UNet(nn.Module):
         widths: encoded channels per level, finest first; each but the first exceeds `channels`.
         norm: normalisation in the encoders; the decoder has none.
         zero_start: start the last convolution at zero: a network that adds to a colour begins as nothing.
-        results: channels of the image.
     """
 
     def __init__(
@@ -82,7 +81,6 @@ class UNet(nn.Module):
         widths: Sequence[int],
         norm: Norm,
         zero_start: bool,
-        results: int = 3,
     ) -> None:
         super().__init__()
         self.encoders = nn.ModuleList(Encoder(channels, widths, norm) for _ in range(layers))
@@ -90,7 +88,7 @@ class UNet(nn.Module):
         self.decoder = nn.ModuleList(
             Up(below, above) for above, below in zip(outputs[-2::-1], outputs[:0:-1], strict=True)
         )
-        self.out = nn.Conv2d(outputs[0], results, 1)
+        self.out = nn.Conv2d(outputs[0], 3, 1)
         if zero_start:
             for parameter in self.out.parameters():
                 nn.init.zeros_(parameter)
@@ -102,7 +100,7 @@ class UNet(nn.Module):
             pyramids: per layer, per level k, [B, channels, H/2ᵏ, W/2ᵏ]; 2^(levels − 1) divides H and W.
 
         Returns:
-            [B, results, H, W], linear.
+            [B, 3, H, W], linear.
         """
         encoded = [encoder(levels) for encoder, levels in zip(self.encoders, pyramids, strict=True)]
         skips = [torch.cat(level, dim=1) for level in zip(*encoded, strict=True)]

@@ -48,7 +48,7 @@ class LeftOut:
 
     def __init__(self, renderer: Renderer, fit: ColourFit) -> None:
         assert renderer.photographs is not None
-        self.padded, self.fit = renderer.padded, fit
+        self.fit = fit
         self.meshes = [
             Renderer(replace(renderer.config, widths=()), renderer.layers) for _ in range(fit.folds)
         ]
@@ -63,5 +63,5 @@ class LeftOut:
 
     def see(self, camera: Camera, view: View) -> Gathered:
         """What mesh and other photographs show of a training view."""
-        fold, padded = self.fit.fold_of(view), self.padded(camera)
-        return self.photographs.gather(padded, *self.meshes[fold].on_mesh(padded), {view.name}, fold)
+        fold = self.fit.fold_of(view)
+        return self.photographs.gather(camera, *self.meshes[fold].on_mesh(camera), {view.name}, fold)

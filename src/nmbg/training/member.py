@@ -135,7 +135,7 @@ class Member:
         if config.whole_frames:
             return self.training.frame(view)
         if config.zoom == AS_TAKEN and can_leave_out(config):
-            return self.training.crop(view, config.window, 2 ** (config.model.levels - 1), generator)
+            return self.training.crop(view, config.window, generator)
         return self.training.window(view, config.window, config.zoom, generator)
 
 

@@ -101,31 +101,25 @@ class Views:
         """Whole frames of at most so many views, evenly spread."""
         return (self.frame(i) for i in evenly(range(len(self)), count))
 
-    def crop(self, i: int, share: float, multiple: int, generator: torch.Generator) -> Example:
+    def crop(self, i: int, share: float, generator: torch.Generator) -> Example:
         """A random window of the whole frame of view i, at whole pixels; for what photographs show alone.
 
         Args:
             i: view.
             share: the window's sides as a share of the image's.
-            multiple: divides the window's sides, where the image is that large.
             generator: source of the random numbers.
         """
         frame = self.frame(i)
         assert isinstance(frame.sight, Gathered)
         assert frame.image is not None
-        width, height = (
-            min(side, max(1, round(share * side / multiple)) * multiple)
-            for side in (frame.camera.width, frame.camera.height)
-        )
+        width, height = (max(1, round(share * side)) for side in (frame.camera.width, frame.camera.height))
         x0 = int(torch.randint(frame.camera.width - width + 1, (), generator=generator))
         y0 = int(torch.randint(frame.camera.height - height + 1, (), generator=generator))
         rows, columns = slice(y0, y0 + height), slice(x0, x0 + width)
-        # The sight reaches beyond the image where a side is no multiple.
-        padded = [-(-side // multiple) * multiple for side in (width, height)]
         return Example(
             frame.name,
             frame.camera.cropped(x0, y0, width, height),
-            frame.sight.cropped(x0, y0, *padded),
+            frame.sight.cropped(x0, y0, width, height),
             frame.image[:, rows, columns],
             None if frame.mask is None else frame.mask[rows, columns],
         )
