@@ -47,7 +47,7 @@ def main(
         for budget in (budgets if preset != "photos" else budgets[:1])
     ]
     curves: dict[str, dict[str, list[dict[str, float]]]] = {}
-    for job, record in zip(jobs, Sweep(output, weights).measure(jobs, split=False), strict=True):
+    for job, record in zip(jobs, Sweep(output, weights).measure(jobs), strict=True):
         figures = record["figures"]
         point = {key: figures[key] for key in ("seconds", "steps", "psnr", "ssim", "lpips_squeeze")}
         curves.setdefault(job.scene.name, {}).setdefault(job.config.preset, []).append(point)

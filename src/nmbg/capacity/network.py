@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -17,13 +16,14 @@ from nmbg.model.photographs import Gathered
 from nmbg.model.renderer import Renderer
 from nmbg.progress import progress_bar
 from nmbg.scene import Scene, View, evenly
+from nmbg.training.budget import Budget, Clock
 from nmbg.training.config import TrainConfig
 from nmbg.training.left_out import LeftOut
 from nmbg.training.start import ColourFit
 from nmbg.training.views import Views
 
-# Share of the budget that races take.
-SHARE = 0.2
+# Share of the budget that races take, and passes over their views that tell networks apart.
+SHARE, PASSES = 0.2, 15
 # Training views that they run on, and views that judge them.
 RUNNERS, JUDGES = 24, 8
 # What a smaller network may cost beside a larger one, or none beside the best.
@@ -136,10 +136,7 @@ def _run(racer: Racer, examples: Views, config: TrainConfig, share: float) -> No
     optimiser = torch.optim.Adam(racer.network.parameters(), lr=rate)
     generator = torch.Generator().manual_seed(config.seed)
     racer.renderer.train()
-    seconds = None if config.minutes is None else 60 * config.minutes * SHARE * share
-    total = config.iterations if config.epochs is None else config.epochs * len(examples)
-    steps = max(1, round((total or 0) * SHARE * share))
-    begin, step, done = time.monotonic(), 0, 0.0
+    budget, step, done = Budget(_part(config, len(examples), share), len(examples), Clock()), 0, 0.0
     while done < 1:
         i = int(torch.randint(len(examples), (), generator=generator))
         example = examples.crop(i, config.window, generator)
@@ -154,5 +151,13 @@ def _run(racer: Racer, examples: Views, config: TrainConfig, share: float) -> No
             group["lr"] = rate * (1 - done)
         optimiser.step()
         step += 1
-        done = step / steps if seconds is None else (time.monotonic() - begin) / seconds
+        done = budget.progress(step)
     racer.renderer.eval()
+
+
+def _part(config: TrainConfig, n_steps: int, share: float) -> TrainConfig:
+    """The budget of one racer in one round: a share of the races' time, and no more passes than tell."""
+    if config.minutes is not None:
+        return replace(config, minutes=SHARE * share * config.minutes, passes=PASSES)
+    total = config.iterations if config.epochs is None else config.epochs * n_steps
+    return replace(config, iterations=max(1, round(SHARE * share * (total or 0))), epochs=None)
