@@ -31,16 +31,13 @@ def test_memory_on_the_mesh() -> None:
 
 def test_network() -> None:
     assert PAPER.model.widths == NPBG.model.widths == NETWORK == (16, 32, 64, 128, 256)
-    assert PAPER.model.norm == "batch"
     assert (PAPER.model.channels, NPBG.model.channels) == (16, 8)
-    assert not PAPER.model.mask_channel
-    assert not PAPER.model.colour_skip
 
 
 @pytest.mark.parametrize(("layers", "channels", "gmac"), [(2, 16, 130), (1, 8, 34.9)])
 def test_multiply_adds_at_976_by_544(layers: int, channels: int, gmac: float) -> None:
     with torch.device("meta"):
-        network = UNet(layers, channels, NETWORK, "batch", zero_start=False)
+        network = UNet(layers, channels, NETWORK)
         pyramid = [torch.empty(1, channels, 544 >> k, 976 >> k) for k in range(5)]
     with FlopCounterMode(display=False) as counter:
         network([pyramid] * layers)
@@ -49,7 +46,7 @@ def test_multiply_adds_at_976_by_544(layers: int, channels: int, gmac: float) ->
 
 def test_receptive_field() -> None:
     """Of one pixel, in pixels of each level; it does not depend on the widths."""
-    network = UNet(1, 1, (2, 3, 4, 5, 6), "none", zero_start=False).double()
+    network = UNet(1, 1, (2, 3, 4, 5, 6)).double().eval()
     for parameter in network.parameters():
         torch.nn.init.constant_(parameter, 0.01)  # all paths add up, none cancels another
     pyramid = [

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from nmbg.capacity.cost import multiply_adds, network_multiply_adds
 from nmbg.capacity.export import export_compact
-from nmbg.capacity.network import candidates
+from nmbg.capacity.network import _part, candidates
 from nmbg.capacity.plan import plan
 from nmbg.capacity.storage import STORAGES, stored_bytes
 from nmbg.cli import main
@@ -111,6 +111,18 @@ def test_candidates_are_smaller_than_the_full_size() -> None:
         assert last == full
         assert all(len(widths) == 1 and widths[0] <= full[0] and widths != full for widths in small)
     assert len(candidates(PRESETS["nmbg"].model.widths)) == 4
+
+
+def test_races_take_their_share_of_any_budget() -> None:
+    full = PRESETS["nmbg"]
+    part = _part(full, 24, 0.25)
+    assert part.minutes == pytest.approx(0.2 * 0.25 * 15)
+    assert part.passes == 15
+    steps = replace(full, minutes=None, iterations=400)
+    assert _part(steps, 24, 0.25).iterations == 20
+    assert _part(replace(steps, iterations=1), 24, 0.25).iterations == 1
+    epochs = _part(replace(full, minutes=None, epochs=10), 24, 0.5)
+    assert (epochs.iterations, epochs.epochs) == (24, None)
 
 
 def test_multiply_adds_of_a_network_by_hand(scene_folder: Path) -> None:

@@ -3,17 +3,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
 
 from nmbg.cameras import Camera
 from nmbg.mesh import Mesh
 from nmbg.model.config import ModelConfig
-from nmbg.model.descriptors import SH_CONSTANT
 from nmbg.model.renderer import Renderer
 from nmbg.ops import rasterize_faces, rasterize_points, shade_faces, shade_points
 
-COLOUR = ModelConfig(degree=2, features=3, points=False, widths=(), colour_skip=True)
-NETWORK = ModelConfig(degree=1, features=4, widths=(12, 24, 36), norm="none", mask_channel=True)
+COLOUR = ModelConfig(degree=2, features=3, points=False, widths=())
+NETWORK = ModelConfig(degree=1, features=4, widths=(12, 24, 36))
 
 
 def randomised(renderer: Renderer) -> Renderer:
@@ -34,14 +32,13 @@ def test_colour_equals_shading_the_whole_mesh(bumpy: Mesh, camera: Camera) -> No
 
 
 def test_pyramid_equals_every_level_shaded_alone(bumpy: Mesh, camera: Camera) -> None:
-    config = replace(NETWORK, mask_channel=False)
-    descriptors = randomised(Renderer(config, [bumpy])).descriptors[0]
-    (fragments,) = Renderer(config, [bumpy]).rasterize(camera)
+    descriptors = randomised(Renderer(NETWORK, [bumpy])).descriptors[0]
+    (fragments,) = Renderer(NETWORK, [bumpy]).rasterize(camera)
     padded, vertices = camera.padded(4), torch.from_numpy(bumpy.vertices)
     radius = 0.006 * camera.height / 2
     assert (padded.width, padded.height) == (44, 32)
     coeffs = descriptors.coeffs.view(-1, 4, 4)
-    for k, image in enumerate(descriptors.pyramid(fragments, 3, slice(None))):
+    for k, image in enumerate(descriptors.pyramid(fragments, 3)):
         level = padded.level(k)
         index, dist2 = rasterize_points(level.project(vertices), radius, level.height, level.width)
         face, bary, _ = rasterize_faces(
@@ -50,13 +47,6 @@ def test_pyramid_equals_every_level_shaded_alone(bumpy: Mesh, camera: Camera) ->
         points = shade_points(index, 1 - dist2 / radius**2, level.rays(), coeffs)
         through_faces = shade_faces(face, bary, torch.from_numpy(bumpy.faces), level.rays(), coeffs)
         torch.testing.assert_close(image[0], torch.cat([through_faces, points]))
-
-
-def test_network_starts_as_the_colour_it_adds_to(bumpy: Mesh, camera: Camera) -> None:
-    renderer = Renderer(replace(NETWORK, colour_skip=True), [bumpy])
-    torch.nn.init.normal_(renderer.descriptors[0].coeffs)
-    fragments = renderer.rasterize(camera)
-    torch.testing.assert_close(renderer(fragments, camera), renderer.colour(fragments, camera))
 
 
 def test_gradient_reaches_only_what_the_view_sees(bumpy: Mesh, camera: Camera) -> None:
@@ -82,7 +72,7 @@ def test_supersampled_pyramid_is_the_average_of_its_finest_level(bumpy: Mesh, ca
     config = replace(NETWORK, supersample=2, points=False)
     renderer = randomised(Renderer(config, [bumpy]))
     (fragments,) = renderer.rasterize(camera)
-    finest, *coarser = renderer.descriptors[0].pyramid(fragments, 3, slice(None))
+    finest, *coarser = renderer.descriptors[0].pyramid(fragments, 3)
     assert [tuple(level.shape[-2:]) for level in (finest, *coarser)] == [(32, 44), (16, 22), (8, 11)]
     torch.testing.assert_close(coarser[1], torch.nn.functional.avg_pool2d(finest, 4))
 
@@ -133,10 +123,13 @@ def test_config_refuses_nonsense() -> None:
         ModelConfig(supersample=2)
     with pytest.raises(ValueError, match=r"supersample: .*got 3"):
         ModelConfig(supersample=3, points=False)
-    with pytest.raises(ValueError, match="without a network"):
-        ModelConfig(widths=())
-    with pytest.raises(ValueError, match="colour_skip needs"):
-        ModelConfig(colour_skip=True, features=2)
+    for changes in ({}, {"features": 3}, {"faces": False, "features": 3}, {"points": False}):
+        with pytest.raises(ValueError, match="without a U-Net"):
+            ModelConfig(widths=(), **changes)
+        with pytest.raises(ValueError, match="without a U-Net"):
+            ModelConfig(sources=5, **changes)
+    with pytest.raises(ValueError, match="one layer"):
+        replace(COLOUR, sources=5, layers=2)
 
 
 @pytest.mark.parametrize(("size", "radius"), [((1920, 1080), 3.24), ((976, 544), 1.632), ((1600, 1200), 3.6)])
@@ -145,25 +138,9 @@ def test_point_radius_of_the_paper(size: tuple[int, int], radius: float) -> None
     assert ModelConfig(point_radius=None).radius_px(*size) == 0.5
 
 
-def test_colour_of_points_alone_has_no_holes(bumpy: Mesh, camera: Camera) -> None:
-    config = ModelConfig(degree=0, faces=False, point_radius=None, point_weight=False, colour_skip=True)
-    renderer = Renderer(config, [bumpy]).eval()
-    renderer.set_colours([torch.full((len(bumpy.vertices), 1, 3), 0.9 / SH_CONSTANT)])
-    h = camera.project(torch.from_numpy(bumpy.vertices))
-    face, _, _ = rasterize_faces(h, torch.from_numpy(bumpy.faces), camera.height, camera.width)
-    inside = F.max_pool2d((face < 0).float()[None], 9, stride=1, padding=4)[0] == 0
-    fragments = renderer.rasterize(camera)
-    index = fragments[0].levels[0].index
-    assert index is not None
-    assert bool((index[: camera.height, : camera.width][inside] < 0).any())
-    image = renderer(fragments, camera)[:, inside]
-    torch.testing.assert_close(image, torch.full_like(image, 0.9))
-
-
 def test_hidden_points_are_missing_on_every_level(bumpy: Mesh, camera: Camera) -> None:
     """A point is there on all levels or on none, faces stay, and the rest is as it was."""
-    config = replace(NETWORK, points=True, mask_channel=False)
-    (whole,) = Renderer(config, [bumpy]).rasterize(camera)
+    (whole,) = Renderer(NETWORK, [bumpy]).rasterize(camera)
     holed = whole.without_points(0.4, torch.Generator().manual_seed(0))
     there, gone = set[int](), set[int]()
     for before, after in zip(whole.levels, holed.levels, strict=True):

@@ -12,12 +12,12 @@ def count(module: torch.nn.Module) -> int:
 
 @pytest.mark.parametrize(("layers", "channels", "parameters"), [(2, 16, 6_142_851), (1, 8, 1_928_771)])
 def test_parameter_counts_of_the_papers(layers: int, channels: int, parameters: int) -> None:
-    assert count(UNet(layers, channels, WIDTHS, "batch", zero_start=False)) == parameters
+    assert count(UNet(layers, channels, WIDTHS)) == parameters
 
 
 def test_every_input_reaches_the_image() -> None:
     torch.manual_seed(0)
-    net = UNet(2, 5, (8, 16, 24), "none", zero_start=False)
+    net = UNet(2, 5, (8, 16, 24))
     pyramids = [[torch.randn(1, 5, 16 >> k, 24 >> k, requires_grad=True) for k in range(3)] for _ in range(2)]
     image = net(pyramids)
     assert image.shape == (1, 3, 16, 24)
@@ -28,10 +28,11 @@ def test_every_input_reaches_the_image() -> None:
             assert level.grad.abs().amax() > 0
 
 
-def test_zero_start_is_black_until_trained() -> None:
-    net = UNet(1, 4, (8, 16), "none", zero_start=True)
-    image = net([[torch.randn(1, 4, 8, 8), torch.randn(1, 4, 4, 4)]])
-    assert torch.equal(image, torch.zeros(1, 3, 8, 8))
+def test_encoders_alone_normalise() -> None:
+    net = UNet(2, 5, (8, 16, 24))
+    normalised = [name for name, part in net.named_modules() if isinstance(part, torch.nn.BatchNorm2d)]
+    assert len(normalised) == 2 * 3
+    assert all(name.startswith("encoders") for name in normalised)
 
 
 def test_gated_block_is_elu_times_sigmoid() -> None:

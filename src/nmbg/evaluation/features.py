@@ -54,7 +54,7 @@ def feature_panels(renderer: Renderer, camera: Camera, without: str = "") -> lis
     names = ("foreground", "background") if len(renderer.layers) > 1 else ("mesh",)
     panels = []
     for name, layer, descriptors in zip(names, renderer.rasterize(camera), renderer.descriptors, strict=True):
-        (image,) = cast("Descriptors", descriptors).pyramid(layer, 1, slice(None))
+        (image,) = cast("Descriptors", descriptors).pyramid(layer, 1)
         for kind, features, mask in _kinds(image[0], layer, renderer.config.features):
             crop = (..., slice(camera.height), slice(camera.width))
             features, mask = features[crop].cpu(), mask[crop]

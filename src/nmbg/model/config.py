@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
-
-Norm = Literal["batch", "none"]
 
 
 @dataclass(frozen=True)
@@ -14,7 +11,7 @@ class ModelConfig:
 
     Args:
         degree: degree of the spherical harmonics, 0 to 2: (degree + 1)² coefficients a feature.
-        features: features per vertex (paper: 8); with `colour_skip` the first three are colour.
+        features: features per vertex (paper: 8); without a U-Net three, colour.
         faces: rasterize the faces.
         points: rasterize the vertices as radius points.
         point_radius: where the short image side spans [−1, 1] (paper: 0.006); None: half a pixel (NPBG).
@@ -22,10 +19,6 @@ class ModelConfig:
         layers: 1, or 2 for foreground and background, split at the foreground sphere.
         widths: channels of the U-Net per level (paper: 16, 32, 64, 128, 256), or with `sources` of the hidden
             layers of the network over the photographs, all at full resolution; empty: no network.
-        norm: BatchNorm in the encoders (paper), or none.
-        mask_channel: tell the network where each layer is covered.
-        colour_skip: image = rendered colour + network, whose last convolution starts at zero. Where points
-            alone are rasterized, coarser levels fill their holes.
         supersample: s × s samples a pixel, averaged; with s > 1 the coarser levels are averages of the finest
             one instead of being rasterized anew. Faces only.
         sources: photographs blended in a pixel, over the colour on the mesh; 0 leaves them out. A network
@@ -40,9 +33,6 @@ class ModelConfig:
     point_weight: bool = True
     layers: int = 1
     widths: tuple[int, ...] = (16, 32, 64, 128, 256)
-    norm: Norm = "batch"
-    mask_channel: bool = False
-    colour_skip: bool = False
     supersample: int = 1
     sources: int = 0
 
@@ -53,16 +43,15 @@ class ModelConfig:
             raise ValueError(f"supersample: expected 1, 2, 4 or 8, got {self.supersample}")
         if self.supersample > 1 and self.points:
             raise ValueError("points have a radius in pixels and are not supersampled; leave one out")
-        if not self.widths and not (self.colour_skip and self.faces):
-            raise ValueError("a model without a network shows the colour of faces: set faces and colour_skip")
-        if self.colour_skip and self.features < 3:
-            raise ValueError(f"colour_skip needs 3 features; got {self.features}")
-        if self.colour_skip and not self.faces and self.layers > 1:
-            raise ValueError(
-                "colour_skip: the colour of points alone has no outline that could hide a background"
-            )
-        if self.sources and (self.points or self.layers > 1 or self.features != 3 or not self.colour_skip):
-            raise ValueError("photographs add to the colour of one layer of faces: 3 features, no points")
+        if not self.unet and (not self.faces or self.points or self.features != 3):
+            raise ValueError("a model without a U-Net shows the colour of faces: 3 features, no points")
+        if self.sources and self.layers > 1:
+            raise ValueError("photographs add to the colour of one layer")
+
+    @property
+    def unet(self) -> bool:
+        """Whether a U-Net turns features into colours; otherwise they are colours."""
+        return bool(self.widths) and not self.sources
 
     @property
     def bases(self) -> int:
@@ -72,7 +61,7 @@ class ModelConfig:
     @property
     def levels(self) -> int:
         """Levels of the image pyramid; 1 without a U-Net."""
-        return 1 if self.sources else max(1, len(self.widths))
+        return len(self.widths) if self.unet else 1
 
     @property
     def rasterized_levels(self) -> int:
@@ -82,7 +71,7 @@ class ModelConfig:
     @property
     def channels(self) -> int:
         """Channels of one layer's feature image."""
-        return self.features * (int(self.faces) + int(self.points)) + int(self.mask_channel)
+        return self.features * (int(self.faces) + int(self.points))
 
     def radius_px(self, width: int, height: int) -> float:
         """Point radius in pixels, the same at every level (paper, section 3.1)."""

@@ -42,18 +42,17 @@ class Descriptors(nn.Module):
         """Highest degree of each vertex whose coefficients are not all zero, [N] int64."""
         return degrees_of(self.coeffs.detach(), self.config.bases)
 
-    def pyramid(self, fragments: LayerFragments, levels: int, channels: slice) -> list[Tensor]:
-        """Feature images of the finest `levels` levels, [1, channels, H/2ᵏ, W/2ᵏ] each.
+    def pyramid(self, fragments: LayerFragments, levels: int) -> list[Tensor]:
+        """Feature images of the finest `levels` levels, [1, C, H/2ᵏ, W/2ᵏ] each: of faces, then of points.
 
         Args:
             fragments: the layer as one view sees it.
             levels: how many levels, finest first.
-            channels: which features to show; the mask channel comes only with all of them.
         """
         rows: Tensor = self.coeffs
         if fragments.vertices is not None:
             rows = _Rows.apply(rows, fragments.vertices.to(rows.device))  # type: ignore[no-untyped-call]
-        rows = rows.view(-1, self.config.bases, self.config.features)[:, :, channels]
+        rows = rows.view(-1, self.config.bases, self.config.features)
         images = [image[None] for image in self._shade(fragments.levels[:levels], fragments.faces, rows)]
         while len(images) < levels:
             images.append(F.avg_pool2d(images[-1], 2))
@@ -61,7 +60,7 @@ class Descriptors(nn.Module):
 
     def _shade(self, levels: Sequence[LevelFragments], faces: Tensor, rows: Tensor) -> list[Tensor]:
         """Feature images of some levels, all shaded at once: their gradient is one sum."""
-        device, whole = rows.device, rows.shape[2] == self.config.features
+        device = rows.device
         images: list[list[Tensor]] = [[] for _ in levels]
         face = [level.face for level in levels if level.face is not None]
         bary = [level.bary for level in levels if level.bary is not None]
@@ -72,33 +71,22 @@ class Descriptors(nn.Module):
                 for level, f in zip(levels, face, strict=True)
             ]
             parts = (_row(face).to(device), _row(bary).to(device), faces.to(device), _row(rays).to(device))
-            # Faces come first: the colour skip reads the first three channels.
             for image, shown in zip(images, _images(shade_faces(*parts, rows), face), strict=True):
                 image.append(F.avg_pool2d(shown, s) if s > 1 else shown)
         index = [level.index for level in levels if level.index is not None]
         weight = [level.weight for level in levels if level.weight is not None]
-        if index and whole:
+        if index:
             rays = [self._rays(level.camera) for level in levels]
             points = shade_points(
                 _row(index).to(device), _row(weight).to(device), _row(rays).to(device), rows
             )
             for image, shown in zip(images, _images(points, index), strict=True):
                 image.append(shown)
-        if self.config.mask_channel and whole:
-            for image, level in zip(images, levels, strict=True):
-                image.append(self._mask(level, device))
         return [torch.cat(image) if len(image) > 1 else image[0] for image in images]
 
     def _rays(self, camera: Camera) -> Tensor:
         """Directions for the harmonics, [H, W, 3]; zeros for the only one of degree 0, which needs none."""
         return camera.rays() if self.config.degree else torch.zeros(camera.height, camera.width, 3)
-
-    def _mask(self, level: LevelFragments, device: torch.device) -> Tensor:
-        index = level.face if level.face is not None else level.index
-        assert index is not None
-        mask = (index >= 0).float()[None].to(device)
-        s = index.shape[0] // level.camera.height
-        return F.avg_pool2d(mask, s) if s > 1 else mask
 
 
 def degrees_of(coeffs: Tensor, bases: int) -> Tensor:

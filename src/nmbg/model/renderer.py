@@ -15,7 +15,7 @@ from nmbg.mesh import Mesh
 from nmbg.model.config import ModelConfig
 from nmbg.model.descriptors import SH_CONSTANT, Descriptors
 from nmbg.model.exposure import Exposures
-from nmbg.model.fragments import LayerFragments, LevelFragments, rasterize_finest, rasterize_layer
+from nmbg.model.fragments import LayerFragments, rasterize_finest, rasterize_layer
 from nmbg.model.fusion import Fusion
 from nmbg.model.photographs import NOTHING, Gathered, Photographs
 from nmbg.model.unet import UNet
@@ -95,10 +95,14 @@ class Renderer(nn.Module):
 
     def colour(self, fragments: list[LayerFragments], camera: Camera) -> Tensor:
         """The colour on the mesh without the network, [3, H, W]; the foreground hides the background."""
-        pyramids = [
-            d.pyramid(layer, 1, slice(0, 3)) for d, layer in zip(self._descriptors, fragments, strict=True)
-        ]
-        return self._composite(pyramids, fragments)[0, :, : camera.height, : camera.width] + 0.5
+        images = [d.pyramid(layer, 1)[0] for d, layer in zip(self._descriptors, fragments, strict=True)]
+        image, s = images[-1], self.config.supersample
+        for nearer, layer in zip(images[-2::-1], fragments[-2::-1], strict=True):
+            face = layer.levels[0].face
+            assert face is not None
+            covered = (face >= 0).float()[None, None].to(image.device)
+            image = nearer + (1 - (F.avg_pool2d(covered, s) if s > 1 else covered)) * image
+        return image[0, :, : camera.height, : camera.width] + 0.5
 
     def forward(self, sight: Prepared, camera: Camera) -> Tensor:
         """Render what `see(camera)` gave, [3, H, W], about [0, 1] but not clamped."""
@@ -110,14 +114,12 @@ class Renderer(nn.Module):
             return self.colour(sight, camera)
         fragments = sight
         pyramids = [
-            d.pyramid(layer, self.config.levels, slice(None))
+            d.pyramid(layer, self.config.levels)
             for d, layer in zip(self._descriptors, fragments, strict=True)
         ]
         image: Tensor = self.network(
             [[x.contiguous(memory_format=torch.channels_last) for x in p] for p in pyramids]
         )
-        if self.config.colour_skip:
-            image = image + self._composite(pyramids, fragments)
         return image[0, :, : camera.height, : camera.width].float() + 0.5
 
     def _fuse(self, gathered: Gathered) -> Tensor:
@@ -130,18 +132,6 @@ class Renderer(nn.Module):
         weights = weights / weights.sum(0).clamp(min=1e-6)
         residual = (gathered.shown.float() * weights[:, None]).sum(0)
         image: Tensor = gathered.base.float() + residual + added
-        return image
-
-    def _composite(self, pyramids: list[list[Tensor]], fragments: list[LayerFragments]) -> Tensor:
-        """Finest colours of all layers, nearest layer first."""
-        if not self.config.faces:
-            pyramids = [_without_holes(p, layer) for p, layer in zip(pyramids, fragments, strict=True)]
-        image = pyramids[-1][0][:, :3]
-        for levels, layer in zip(pyramids[-2::-1], fragments[-2::-1], strict=True):
-            covered = _covered(layer.levels[0]).to(image.device)
-            s = self.config.supersample
-            alpha = F.avg_pool2d(covered, s) if s > 1 else covered
-            image = levels[0][:, :3] + (1 - alpha) * image
         return image
 
     @torch.no_grad()
@@ -187,25 +177,9 @@ def make_network(config: ModelConfig) -> Fusion | UNet | None:
     network = (
         Fusion(config.sources, config.widths)
         if config.sources
-        else UNet(config.layers, config.channels, config.widths, config.norm, zero_start=config.colour_skip)
+        else UNet(config.layers, config.channels, config.widths)
     )
     return network.to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]
-
-
-def _without_holes(levels: list[Tensor], layer: LayerFragments) -> list[Tensor]:
-    """The finest features, with those of the next coarser level that has some where points leave holes."""
-    image = levels[-1]
-    for finer, level in zip(levels[-2::-1], layer.levels[-2::-1], strict=True):
-        image = F.interpolate(image, scale_factor=2, mode="bilinear", align_corners=False)
-        image = torch.where(_covered(level).to(image.device) > 0, finer, image)
-    return [image]
-
-
-def _covered(level: LevelFragments) -> Tensor:
-    """1 where something is seen, [1, 1, H, W] float32."""
-    index = level.face if level.face is not None else level.index
-    assert index is not None
-    return (index >= 0).float()[None, None]
 
 
 def _centred(coeffs: Tensor) -> Tensor:

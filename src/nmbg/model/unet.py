@@ -9,17 +9,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from nmbg.model.config import Norm
 from nmbg.ops import gate
 
 
 class GatedConv(nn.Module):
-    """ELU(conv x) ⊙ sigmoid(conv′ x), both 3×3, computed as one convolution."""
+    """ELU(conv x) ⊙ sigmoid(conv′ x), both 3×3, computed as one convolution; then BatchNorm, or not."""
 
-    def __init__(self, inputs: int, outputs: int, norm: Norm = "none") -> None:
+    def __init__(self, inputs: int, outputs: int, norm: bool = False) -> None:
         super().__init__()
         self.conv = nn.Conv2d(inputs, 2 * outputs, 3, padding=1)
-        self.norm = nn.BatchNorm2d(outputs) if norm == "batch" else nn.Identity()
+        self.norm = nn.BatchNorm2d(outputs) if norm else nn.Identity()
 
     def forward(self, x: Tensor) -> Tensor:  # [B, inputs, H, W] -> [B, outputs, H, W]
         """Filter a feature image."""
@@ -30,11 +29,11 @@ class GatedConv(nn.Module):
 class Encoder(nn.Module):
     """One layer's feature images, finest first → the encoded images of all levels."""
 
-    def __init__(self, channels: int, widths: Sequence[int], norm: Norm) -> None:
+    def __init__(self, channels: int, widths: Sequence[int]) -> None:
         super().__init__()
-        self.start = GatedConv(channels, widths[0], norm)
+        self.start = GatedConv(channels, widths[0], norm=True)
         self.down = nn.ModuleList(
-            GatedConv(above, below - channels, norm) for above, below in pairwise(widths)
+            GatedConv(above, below - channels, norm=True) for above, below in pairwise(widths)
         )
 
     def forward(self, levels: list[Tensor]) -> list[Tensor]:  # [B, channels, H/2ᵏ, W/2ᵏ] each
@@ -61,7 +60,7 @@ class Up(nn.Module):
 
 
 class UNet(nn.Module):
-    """Feature pyramids of one or two layers → an image.
+    """Feature pyramids of one or two layers → an image; BatchNorm in the encoders, none in the decoder.
 
     With two layers, 16 channels and the paper's widths it has 6,142,851 parameters; with one layer and
     8 channels it is NPBG's network, 1,928,771 parameters.
@@ -70,28 +69,16 @@ class UNet(nn.Module):
         layers: number of encoders; their weights are not shared.
         channels: channels of a layer's feature image.
         widths: encoded channels per level, finest first; each but the first exceeds `channels`.
-        norm: normalisation in the encoders; the decoder has none.
-        zero_start: start the last convolution at zero: a network that adds to a colour begins as nothing.
     """
 
-    def __init__(
-        self,
-        layers: int,
-        channels: int,
-        widths: Sequence[int],
-        norm: Norm,
-        zero_start: bool,
-    ) -> None:
+    def __init__(self, layers: int, channels: int, widths: Sequence[int]) -> None:
         super().__init__()
-        self.encoders = nn.ModuleList(Encoder(channels, widths, norm) for _ in range(layers))
+        self.encoders = nn.ModuleList(Encoder(channels, widths) for _ in range(layers))
         outputs = [layers * width for width in widths]
         self.decoder = nn.ModuleList(
             Up(below, above) for above, below in zip(outputs[-2::-1], outputs[:0:-1], strict=True)
         )
         self.out = nn.Conv2d(outputs[0], 3, 1)
-        if zero_start:
-            for parameter in self.out.parameters():
-                nn.init.zeros_(parameter)
 
     def forward(self, pyramids: list[list[Tensor]]) -> Tensor:
         """Render.

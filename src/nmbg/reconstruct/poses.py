@@ -51,7 +51,7 @@ LEAST_PIXELS = 500
 
 Array = npt.NDArray[np.float64]
 
-_COLOURS = ModelConfig(degree=1, features=3, points=False, widths=(), colour_skip=True)
+_COLOURS = ModelConfig(degree=1, features=3, points=False, widths=())
 
 
 def refine_poses(scene: Scene, blurs: Sequence[int] = BLURS) -> Scene:

@@ -184,7 +184,7 @@ def _rung(name: str, model: ModelConfig) -> TrainConfig:
     )
 
 
-_colour_mesh = ModelConfig(degree=2, features=3, points=False, widths=(), colour_skip=True)
+_colour_mesh = ModelConfig(degree=2, features=3, points=False, widths=())
 # From the closed-form start, larger rates first lose a decibel on held-out views; the decay only regains it.
 _colour_stage = Stage(1.0, network=False, descriptor_rate=0.005)
 # After 300 passes instead, held-out views of one capture lost a decibel.

@@ -12,7 +12,7 @@ from nmbg.training.adversary import Adversary
 from nmbg.training.config import TrainConfig
 
 # What the weights of a network depend on.
-SHAPE = ("layers", "widths", "norm", "sources", "features", "faces", "points", "mask_channel")
+SHAPE = ("layers", "widths", "sources", "features", "faces", "points")
 
 
 def take_over(
