@@ -31,7 +31,7 @@ LPIPS_NETS = {"alex": "alexnet", "vgg": "vgg16", "squeeze": "squeezenet1_1"}
     type=click.FloatRange(min=0, min_open=True),
     default=4.4,
     show_default=True,
-    help="Time to train, all presets together.",
+    help="Most time to train, all presets together.",
 )
 @click.option(
     "--views", type=click.IntRange(min=4), default=40, show_default=True, help="Photographs to make."
