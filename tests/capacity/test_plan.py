@@ -117,7 +117,7 @@ def test_races_take_their_share_of_any_budget() -> None:
     full = PRESETS["nmbg"]
     part = _part(full, 24, 0.25)
     assert part.minutes == pytest.approx(0.2 * 0.25 * 15)
-    assert part.passes == 15
+    assert part.passes == 40
     steps = replace(full, minutes=None, iterations=400)
     assert _part(steps, 24, 0.25).iterations == 20
     assert _part(replace(steps, iterations=1), 24, 0.25).iterations == 1

@@ -23,7 +23,7 @@ from nmbg.training.start import ColourFit
 from nmbg.training.views import Views
 
 # Share of the budget that races take, and passes over their views that tell networks apart.
-SHARE, PASSES = 0.2, 15
+SHARE, PASSES = 0.2, 40
 # Training views that they run on, and views that judge them.
 RUNNERS, JUDGES = 24, 8
 # What a smaller network may cost beside a larger one, or none beside the best.
