@@ -107,16 +107,13 @@ class Renderer(nn.Module):
     def forward(self, sight: Prepared, camera: Camera) -> Tensor:
         """Render what `see(camera)` gave, [3, H, W], about [0, 1] but not clamped."""
         if isinstance(sight, Gathered):
-            sight = self._fuse(sight) if self.network is not None else sight.blended()
+            return self._fuse(sight) if self.network is not None else sight.blended()
         if isinstance(sight, Tensor):
-            return sight[:, : camera.height, : camera.width]
+            return sight
         if self.network is None:
             return self.colour(sight, camera)
-        fragments = sight
-        pyramids = [
-            d.pyramid(layer, self.config.levels)
-            for d, layer in zip(self._descriptors, fragments, strict=True)
-        ]
+        levels = self.config.levels
+        pyramids = [d.pyramid(layer, levels) for d, layer in zip(self._descriptors, sight, strict=True)]
         image: Tensor = self.network(
             [[x.contiguous(memory_format=torch.channels_last) for x in p] for p in pyramids]
         )
