@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import click
 from click.core import ParameterSource
@@ -20,7 +20,7 @@ from nmbg.cli.options import (
     weights_option,
 )
 from nmbg.errors import NmbgError
-from nmbg.training.config import PRESETS, TrainConfig, without_perceptual
+from nmbg.training.config import PRESETS, Start, TrainConfig, without_perceptual
 
 # Of a preset that says nothing itself.
 MINUTES = 15.0
@@ -87,6 +87,12 @@ ZOOM = click.FloatRange(min=0, min_open=True)
 )
 @click.option(
     "--window", type=click.FloatRange(min=0, max=1, min_open=True), help="Training windows' share of a side."
+)
+@click.option(
+    "--start",
+    type=click.Choice(get_args(Start)),
+    help="What descriptors start at: zeros, the mesh's mean colours, or directional colours fitted to the "
+    "photographs; for presets that blend no photographs.  [default: paper zeros, mesh fit, others mean]",
 )
 @click.option(
     "--validation-views",

@@ -17,6 +17,7 @@ from nmbg.model.renderer import Renderer
         (["--photos", "few"], "auto or all"),
         (["--preset", "mesh", "--photos", "4"], "blends no photographs"),
         (["--perceptual", "vgg19"], "without L_rec"),
+        (["--start", "mean"], "leave start out"),
         (["--minutes", "1", "--epochs", "1"], "one of iterations, epochs and minutes"),
     ],
 )

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from nmbg.model.unet import UNet
+from nmbg.model.unet import GatedConv, Normalise, UNet
 
 WIDTHS = (16, 32, 64, 128, 256)
 
@@ -30,14 +30,26 @@ def test_every_input_reaches_the_image() -> None:
 
 def test_encoders_alone_normalise() -> None:
     net = UNet(2, 5, (8, 16, 24))
-    normalised = [name for name, part in net.named_modules() if isinstance(part, torch.nn.BatchNorm2d)]
+    normalised = [name for name, part in net.named_modules() if isinstance(part, Normalise)]
     assert len(normalised) == 2 * 3
     assert all(name.startswith("encoders") for name in normalised)
 
 
-def test_gated_block_is_elu_times_sigmoid() -> None:
-    from nmbg.model.unet import GatedConv
+@pytest.mark.parametrize("training", [True, False])
+def test_a_render_is_normalised_by_its_own_statistics(training: bool) -> None:
+    torch.manual_seed(0)
+    block, plain, reference = GatedConv(3, 4, norm=True), GatedConv(3, 4), torch.nn.BatchNorm2d(4)
+    plain.conv = block.conv
+    torch.nn.init.normal_(block.norm.weight)
+    torch.nn.init.normal_(block.norm.bias)
+    reference.load_state_dict(block.norm.state_dict(), strict=False)
+    block.train(training)
+    for _ in range(2):
+        x = torch.randn(1, 3, 6, 7)
+        torch.testing.assert_close(block(x), reference(plain(x)))  # of a batch of one, in training
 
+
+def test_gated_block_is_elu_times_sigmoid() -> None:
     torch.manual_seed(0)
     block = GatedConv(3, 4)
     x = torch.randn(1, 3, 6, 7)

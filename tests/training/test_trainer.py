@@ -230,7 +230,6 @@ def test_a_view_without_a_finite_loss_is_left_out_and_named(
 
     def poison(image: Tensor, *rest: Any) -> dict[str, Tensor]:
         example = next(a for a in rest if isinstance(a, Example))
-        # From within, as a feature that overflows would: BatchNorm's statistics see it, too.
         return losses(image * (torch.nan if example.name == poisoned else 1.0), *rest)
 
     monkeypatch.setattr(loop, "losses", poison)

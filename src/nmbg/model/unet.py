@@ -12,13 +12,27 @@ from torch import Tensor, nn
 from nmbg.ops import gate
 
 
+class Normalise(nn.GroupNorm):
+    """Each channel by its mean and variance over the image: the paper's BatchNorm of a batch of one.
+
+    A render is normalised by its own as well, as the network has learnt, not by running means of training.
+    """
+
+    def __init__(self, channels: int) -> None:
+        super().__init__(channels, channels)
+
+    def forward(self, x: Tensor) -> Tensor:  # [B, channels, H, W] -> the same
+        """Normalise; torch's module refuses a coarsest level of one pixel."""
+        return torch.group_norm(x, self.num_groups, self.weight, self.bias, self.eps)
+
+
 class GatedConv(nn.Module):
-    """ELU(conv x) ⊙ sigmoid(conv′ x), both 3×3, computed as one convolution; then BatchNorm, or not."""
+    """ELU(conv x) ⊙ sigmoid(conv′ x), both 3×3, computed as one convolution; then normalised, or not."""
 
     def __init__(self, inputs: int, outputs: int, norm: bool = False) -> None:
         super().__init__()
         self.conv = nn.Conv2d(inputs, 2 * outputs, 3, padding=1)
-        self.norm = nn.BatchNorm2d(outputs) if norm else nn.Identity()
+        self.norm = Normalise(outputs) if norm else nn.Identity()
 
     def forward(self, x: Tensor) -> Tensor:  # [B, inputs, H, W] -> [B, outputs, H, W]
         """Filter a feature image."""
@@ -60,7 +74,7 @@ class Up(nn.Module):
 
 
 class UNet(nn.Module):
-    """Feature pyramids of one or two layers → an image; BatchNorm in the encoders, none in the decoder.
+    """Feature pyramids of one or two layers → an image; normalised in the encoders, not in the decoder.
 
     With two layers, 16 channels and the paper's widths it has 6,142,851 parameters; with one layer and
     8 channels it is NPBG's network, 1,928,771 parameters.

@@ -64,7 +64,6 @@ class Progress:
         caution: factor of the learning rates, below 1 after losses that were not finite.
         skipped: per view, how many steps were left out because its loss was not finite.
         scenes: of a run over several scenes, the step of each one's own checkpoint.
-        settled: whether the network's statistics are held.
     """
 
     step: int = 0
@@ -74,7 +73,6 @@ class Progress:
     caution: float = 1.0
     skipped: dict[str, int] = field(default_factory=dict)
     scenes: dict[str, int] = field(default_factory=dict)
-    settled: bool = False
 
 
 def scene_layers(scene: Scene, config: ModelConfig) -> list[Mesh]:

@@ -54,10 +54,6 @@ class TrainConfig:
         zoom: least and largest random zoom of training windows, beside the photographs' own pixels.
         window: sides of a random window as a share of the image's; where the zoom is as small, it shows the
             whole frame.
-        settle: share of the training after which BatchNorm's statistics are those of whole training views and
-            are held; above 1: never. With one image a step they are that image's alone otherwise, which a new
-            view is not normalised by: the preset `npbg` is then off by a colour of each view, which costs
-            3.5 dB on training views and 0.9 dB on held-out ones (docs/method.md).
         hide_points: largest share of the points that is missing at random in a step, in [0, 1); the share is
             drawn anew for each. A network that has learnt with holes is sharper where a new view has some.
         iterations: steps in all, or None.
@@ -91,7 +87,6 @@ class TrainConfig:
     perceptual: str = "none"
     zoom: tuple[float, float] = AS_TAKEN
     window: float = 1.0
-    settle: float = 0.4
     hide_points: float = 0.0
     iterations: int | None = None
     epochs: int | None = None
@@ -117,6 +112,8 @@ class TrainConfig:
             raise ValueError("give one of iterations, epochs and minutes")
         if self.exposure and self.model.sources:
             raise ValueError("photographs that are blended are exposed alike already; leave exposure out")
+        if self.start != "fit" and self.model.sources:
+            raise ValueError("photographs are blended over fitted colours; leave start out")
         if self.capacity == "full" and (self.fps or self.megabytes):
             raise ValueError("a wish for frames a second or megabytes needs --capacity auto")
         if not 0 <= self.artificial_views < 1:

@@ -225,7 +225,6 @@ class _Company:
         """Write the scenes' checkpoints, then the run's, which names them; then drop the older ones."""
         for name, member in self._loaded.items():
             self._write(name, member)
-        processes.average_buffers(self.bare)
         steps = {name: step for part in processes.gathered(self.written) for name, step in part.items()}
         if processes.rank() == 0:
             modules = {"network": self.bare}

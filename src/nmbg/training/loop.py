@@ -6,7 +6,7 @@ import functools
 import operator
 import signal
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,7 +29,6 @@ from nmbg.training.log import COLUMNS, Log
 from nmbg.training.member import Member
 from nmbg.training.optimiser import Part, descend, differentiate, network_part
 from nmbg.training.schedule import Schedule
-from nmbg.training.statistics import VIEWS, hold_statistics, renew_statistics
 from nmbg.training.targets import PerceptualTerm
 from nmbg.training.views import Example, Views
 
@@ -76,7 +75,6 @@ class Attempt:
         terms: of the loss; "loss" is what is descended.
         parts: what the stage trains.
         random: source of the step's random numbers.
-        statistics: the network's running statistics before the step.
     """
 
     stage: Stage
@@ -86,7 +84,6 @@ class Attempt:
     terms: dict[str, Tensor]
     parts: list[Part]
     random: torch.Generator
-    statistics: list[Tensor]
 
 
 class Loop:
@@ -119,7 +116,7 @@ class Loop:
         self.schedule = Schedule(crew.counts, config.artificial_views, config.seed, crew.length)
         self.budget = Budget(config, self.schedule.length, clock)
         self.step, self.stage, self.caution = state.step, state.stage, state.caution
-        self.settled, self.logged = state.settled, state.step
+        self.logged = state.step
         if state.length and state.length != self.schedule.length and config.iterations is None:
             # Other processes: the same share of the passes is over.
             self.step = round(state.step * self.schedule.length / state.length)
@@ -155,8 +152,6 @@ class Loop:
                     self._leave_out(attempt, sound if processes.size() > 1 else finite)
                 else:
                     self._descend(attempt, done)
-                if not self.settled and progress >= self.config.settle:
-                    self._settle(attempt.stage)
                 if not bad and (int(REPORTS * progress) > int(REPORTS * before) or progress >= 1):
                     self._report(log, progress, attempt)
                 bar.update(task, completed=100 * progress)
@@ -179,18 +174,10 @@ class Loop:
         self._saved = self.clock.seconds
         # Each process knows what it left out itself.
         self.skipped = functools.reduce(operator.or_, processes.gathered(self.skipped))
-        self.crew.save(
-            Progress(
-                self.step,
-                self.schedule.length,
-                self.clock.seconds,
-                self.stage,
-                self.caution,
-                dict(self.skipped),
-                settled=self.settled,
-            ),
-            states,
+        reached = Progress(
+            self.step, self.schedule.length, self.clock.seconds, self.stage, self.caution, dict(self.skipped)
         )
+        self.crew.save(reached, states)
 
     def _attempt(self, index: int) -> Attempt:
         """Render what the step looks at, in a stage (its index), and compare."""
@@ -204,18 +191,15 @@ class Loop:
         turn = self.schedule.turn(self.step)
         member = self.crew.member(turn.scene)
         member.renderer.train()
-        if self.settled and self.crew.network is not None:
-            hold_statistics(self.crew.network)
         example = member.example(turn.view, self.step)
         if self.crew.several:
             example = replace(example, name=f"{member.folder.name}/{example.name}")
-        statistics = _statistics(self.crew.network)
         random = torch.Generator().manual_seed(self.config.seed * 1_000_003 + self.step + 1)
         with torch.autocast(self.config.device, torch.bfloat16, enabled=self.config.bf16):
             image = as_photographed(render(member.renderer, stage, example)[None], example)
             terms = losses(image, stage, self.perceptual, self.adversary, example, random)
         parts = [*self._network, *member.parts(index)]
-        return Attempt(stage, member, example, image, terms, parts, random, statistics)
+        return Attempt(stage, member, example, image, terms, parts, random)
 
     def _descend(self, attempt: Attempt, done: float) -> None:
         """Step along the gradients; then the discriminator learns from the same render."""
@@ -227,30 +211,10 @@ class Loop:
                 loss = self.adversary.learn(attempt.image, photograph, attempt.random)
             attempt.terms["discriminator"] = loss
 
-    def _settle(self, stage: Stage) -> None:
-        """Give the network the statistics of all its training views, for the rest of the training."""
-
-        def shows() -> Iterator[Callable[[], Tensor]]:
-            for scene in range(len(self.crew.counts)):
-                member = self.crew.member(scene)
-                for example in member.training.spread(VIEWS):
-                    yield functools.partial(self._show, member, stage, example)
-
-        if self.crew.network is not None:
-            renew_statistics(self.crew.network, shows())
-            processes.average_buffers(self.crew.network)
-        self.settled = True
-
-    @torch.no_grad()
-    def _show(self, member: Member, stage: Stage, example: Example) -> Tensor:
-        with torch.autocast(self.config.device, torch.bfloat16, enabled=self.config.bf16):
-            return render(member.renderer, stage, example)
-
     def _leave_out(self, attempt: Attempt, sound: bool) -> None:
         """Let a step not have been; `sound` where another process is the reason."""
         name = attempt.example.name
         self.in_a_row += 1
-        _restore(self.crew.network, attempt.statistics)
         if not sound:
             self.skipped[name] += 1
             if self.skipped[name] == 1:
@@ -282,17 +246,6 @@ def _mean(figures: dict[str, float]) -> dict[str, float]:
     values = processes.mean([figures.get(name, 0.0) for name in names])
     counts = processes.mean([float(name in figures) for name in names])
     return {name: v / n for name, v, n in zip(names, values, counts, strict=True) if n}
-
-
-def _statistics(network: nn.Module | None) -> list[Tensor]:
-    """Copies of the network's running statistics, which a step changes even where it is left out."""
-    return [] if network is None else [buffer.clone() for buffer in network.buffers()]
-
-
-def _restore(network: nn.Module | None, statistics: list[Tensor]) -> None:
-    if network is not None:
-        for buffer, before in zip(network.buffers(), statistics, strict=True):
-            buffer.copy_(before)
 
 
 def _photograph(attempt: Attempt) -> Tensor:

@@ -7,7 +7,6 @@ one process. What decides how training goes on is agreed upon at every step.
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
@@ -61,11 +60,7 @@ def shared(module: nn.Module) -> nn.Module:
     """The module with gradients averaged over the processes; alone, the module itself."""
     if size() == 1:
         return module
-    # Statistics of BatchNorm are averaged where they are written down, not at every step.
-    with warnings.catch_warnings():
-        # Newer releases rename the option; older ones lack the new name.
-        warnings.simplefilter("ignore", FutureWarning)
-        return DistributedDataParallel(module, broadcast_buffers=False)
+    return DistributedDataParallel(module)
 
 
 def bare(module: nn.Module) -> nn.Module:
@@ -81,14 +76,6 @@ def largest(values: Sequence[float]) -> list[float]:
 def mean(values: Sequence[float]) -> list[float]:
     """Each value's mean over the processes."""
     return (_reduced(torch.tensor(values, dtype=torch.float64), dist.ReduceOp.SUM) / size()).tolist()
-
-
-@torch.no_grad()
-def average_buffers(module: nn.Module) -> None:
-    """Give every process the mean of a module's statistics."""
-    for buffer in module.buffers():
-        if size() > 1 and buffer.is_floating_point():
-            buffer.copy_(_reduced(buffer.clone(), dist.ReduceOp.SUM) / size())
 
 
 def wait() -> None:
