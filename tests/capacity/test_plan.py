@@ -2,13 +2,15 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import pytest
 from click.testing import CliRunner
 
 from nmbg.capacity.cost import multiply_adds, network_multiply_adds
 from nmbg.capacity.export import export_compact
-from nmbg.capacity.network import _part, candidates
+from nmbg.capacity.judge import Score
+from nmbg.capacity.network import Racer, _part, _ranked, candidates
 from nmbg.capacity.plan import plan
 from nmbg.capacity.storage import STORAGES, stored_bytes
 from nmbg.cli import main
@@ -110,7 +112,18 @@ def test_candidates_are_smaller_than_the_full_size() -> None:
         *small, last = candidates(full)
         assert last == full
         assert all(len(widths) == 1 and widths[0] <= full[0] and widths != full for widths in small)
-    assert len(candidates(PRESETS["nmbg"].model.widths)) == 4
+    assert len(candidates(PRESETS["nmbg"].model.widths)) == 3
+
+
+def test_the_smallest_network_that_is_as_good_stands_behind_the_best() -> None:
+    def racer(work: int, psnr: float, ssim: float = 0.9) -> Racer:
+        return Racer(cast("Renderer", None), work, Score(psnr, ssim))
+
+    full, middle, least = racer(8, 30.0), racer(2, 29.96), racer(1, 29.97)
+    assert _ranked([least, middle, full]) == [full, least, middle]
+    assert _ranked([racer(1, 29.9), full]) == [full]
+    assert _ranked([racer(1, 29.97, 0.898), full]) == [full]
+    assert _ranked([racer(1, 30.1), full]) == [racer(1, 30.1)]  # a larger one that is worse is nothing
 
 
 def test_races_take_their_share_of_any_budget() -> None:

@@ -26,10 +26,10 @@ from nmbg.training.views import Views
 SHARE, PASSES = 0.2, 40
 # Training views that they run on, and views that judge them.
 RUNNERS, JUDGES = 24, 8
-# What a smaller network may cost beside a larger one, or none beside the best.
-LIMIT = Score(0.02, 0.001)
-# One hidden layer of so many channels: what races against the full size.
-SMALL = (8, 16, 32)
+# What none may cost beside the best network, and what a smaller one may.
+NONE_LIMIT, SMALL_LIMIT = Score(0.02, 0.001), Score(0.05, 0.001)
+# One hidden layer of so many channels, an eighth and a fifth of the full size's work, races against it.
+SMALL = (8, 12)
 
 
 @dataclass
@@ -108,21 +108,27 @@ def race(
                 _run(racer, examples, config, 1 / (rounds * len(left)))
                 with torch.no_grad():
                     racer.score = shown(racer.show)
+            best, *small = _ranked(left)
             if number + 1 < rounds:
-                left = sorted(left, key=lambda racer: -racer.score.psnr)[: max(2, len(left) // 2)]
-    best = max((racer.score for racer in left), key=lambda score: score.psnr)
-    chosen = min((racer for racer in left if racer.score.within(best, LIMIT)), key=lambda racer: racer.work)
+                left = [best, *small[: max(1, len(left) // 2 - 1)]]
+    chosen = small[0] if small else best
     most = max(racer.work for racer in racers)
-    told = (
-        f"gains {best.psnr - none.psnr:.2f} dB and {best.ssim - none.ssim:.4f} SSIM on {len(judging)} views"
-    )
-    if none.within(best, LIMIT):
+    gained = best.score.psnr - none.psnr, best.score.ssim - none.ssim
+    told = f"gains {gained[0]:.2f} dB and {gained[1]:.4f} SSIM on {len(judging)} views"
+    if none.within(best.score, NONE_LIMIT):
         saved = f"{most / 1e9:.1f} G multiply-adds a frame"
-        return (), None, [Choice("network: none", saved, none.cost_beside(best), f"the best {told}")]
+        return (), None, [Choice("network: none", saved, none.cost_beside(best.score), f"the best {told}")]
     widths = chosen.renderer.config.widths
     saved = f"{(most - chosen.work) / 1e9:.1f} of {most / 1e9:.1f} G multiply-adds a frame"
-    choice = Choice(f"network: {widths}", saved, chosen.score.cost_beside(best), f"the best {told}")
+    choice = Choice(f"network: {widths}", saved, chosen.score.cost_beside(best.score), f"the best {told}")
     return widths, chosen.network, [choice]
+
+
+def _ranked(racers: list[Racer]) -> list[Racer]:
+    """The best one, then those of less work that are as good but for the limit, the least work first."""
+    best = max(racers, key=lambda racer: racer.score.psnr)
+    small = [r for r in racers if r.work < best.work and r.score.within(best.score, SMALL_LIMIT)]
+    return [best, *sorted(small, key=lambda racer: racer.work)]
 
 
 def candidates(full: tuple[int, ...]) -> list[tuple[int, ...]]:
