@@ -12,18 +12,19 @@ from torch import Tensor, nn
 from nmbg.ops import gate
 
 
-class Normalise(nn.GroupNorm):
-    """Each channel by its mean and variance over the image: the paper's BatchNorm of a batch of one.
+class Normalise(nn.BatchNorm2d):
+    """The paper's BatchNorm, without running statistics: of a batch of one image, that image's own.
 
-    A render is normalised by its own as well, as the network has learnt, not by running means of training.
+    So a render is normalised as the network has learnt.
     """
 
     def __init__(self, channels: int) -> None:
-        super().__init__(channels, channels)
+        super().__init__(channels, track_running_stats=False)
 
-    def forward(self, x: Tensor) -> Tensor:  # [B, channels, H, W] -> the same
+    def forward(self, x: Tensor) -> Tensor:  # [1, channels, H, W] -> the same
         """Normalise; torch's module refuses a coarsest level of one pixel."""
-        return torch.group_norm(x, self.num_groups, self.weight, self.bias, self.eps)
+        # GroupNorm says the same; its gradients in channels_last took 20 to 40 times as long on a CPU.
+        return torch.batch_norm(x, self.weight, self.bias, None, None, True, 0.0, self.eps, True)
 
 
 class GatedConv(nn.Module):
