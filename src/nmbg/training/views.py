@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from nmbg.images import resample
 from nmbg.model.exposure import Exposure, Exposures
 from nmbg.model.photographs import Gathered
 from nmbg.model.renderer import Prepared
-from nmbg.scene import Scene, View, evenly
+from nmbg.scene import Scene, View
 from nmbg.training.shelf import Shelf
 
 
@@ -96,10 +96,6 @@ class Views:
         example = self._example(view, view.camera, *self._load(view))
         self._shelf.put(i, example, example.nbytes)
         return example
-
-    def spread(self, count: int) -> Iterator[Example]:
-        """Whole frames of at most so many views, evenly spread."""
-        return (self.frame(i) for i in evenly(range(len(self)), count))
 
     def crop(self, i: int, share: float, generator: torch.Generator) -> Example:
         """A random window of the whole frame of view i, at whole pixels; for what photographs show alone.
