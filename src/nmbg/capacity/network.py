@@ -110,7 +110,7 @@ def race(
                     racer.score = shown(racer.show)
             best, *small = _ranked(left)
             if number + 1 < rounds:
-                left = [best, *small[: max(1, len(left) // 2 - 1)]]
+                left = [best, *small[:1]]
     chosen = small[0] if small else best
     most = max(racer.work for racer in racers)
     gained = best.score.psnr - none.psnr, best.score.ssim - none.ssim
