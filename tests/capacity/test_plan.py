@@ -33,7 +33,8 @@ def run(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_choice_is_written_with_its_reason(run: Path) -> None:
     _, config = checkpoint.load_one(run)
     told = [choice.choice.partition(":")[0] for choice in config.choices]
-    for part in ("vertices", "layers", "photographs", "faces", "samples a pixel", "harmonics", "network"):
+    parts = ("vertices", "layers", "photographs", "photographs in a pixel", "faces", "samples a pixel")
+    for part in (*parts, "harmonics", "network"):
         assert part in told
     assert all(choice.reason and choice.saves and choice.costs for choice in config.choices)
 
@@ -71,6 +72,15 @@ def test_wishes_are_met(scene_folder: Path) -> None:
     assert fast.config.stages == ()
     tiny = plan(scene, replace(AUTO, megabytes=1e-6))
     assert tiny.storage == STORAGES[0]
+
+
+@pytest.mark.parametrize(("limit", "fewest"), [(Score(99, 1), 1), (Score(-99, -1), 5)])
+def test_as_few_photographs_are_blended_in_a_pixel_as_the_limit_allows(
+    scene_folder: Path, monkeypatch: pytest.MonkeyPatch, limit: Score, fewest: int
+) -> None:
+    monkeypatch.setattr("nmbg.capacity.plan.SOURCES_LIMIT", limit)
+    config = replace(AUTO, model=replace(AUTO.model, widths=()))
+    assert plan(Scene.load(scene_folder), config).config.model.sources == fewest
 
 
 @pytest.mark.parametrize("preset", ["mesh", "paper", "photos-mesh"])

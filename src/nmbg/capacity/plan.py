@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from nmbg.capacity.choices import Choice, megabytes
 from nmbg.capacity.harmonics import STEPS, degrees_for, floats
-from nmbg.capacity.judge import JUDGES, LIMIT, Judge, Score
+from nmbg.capacity.judge import JUDGES, LIMIT, SOURCES_LIMIT, Judge, Score
 from nmbg.capacity.network import race
 from nmbg.capacity.photographs import choose_photographs
 from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, SUFFIX, Storage, store, stored_bytes
@@ -84,7 +84,7 @@ class _Sizing:
         n = len(self.scene.train)
         left = "the views that judge need them all" if len(kept) == n else "the rest shows nothing new"
         self._chose(f"photographs: {len(kept)} of {n}", f"{n - len(kept)} files", "0.01 dB at most", left)
-        score = self._thinning(kept)
+        score = self._thinning(kept, self._sources(kept))
         storage = self._storage(kept)
         self._samples(kept, score)
         fit = self._harmonics(kept)
@@ -115,10 +115,25 @@ class _Sizing:
             "layers: 1", "the second one", "nothing", f"photographs are blended over one layer; {kept}"
         )
 
-    def _thinning(self, kept: tuple[View, ...]) -> Score:
-        """Half of the faces, and half of these, as long as it costs no more than the limit; what is left."""
-        before = len(self.scene.mesh.faces)
+    def _sources(self, kept: tuple[View, ...]) -> Score:
+        """The fewest photographs blended in a pixel that cost no more than the limit; what they score."""
+        most = fewest = self.config.model.sources
         best = score = self.judge.score(self._predicted(self.scene, kept))
+        why = "one is the least there is"
+        for count in range(most - 1, 0, -1):
+            found = self.judge.score(self._predicted(self.scene, kept, sources=count))
+            if not found.within(best, SOURCES_LIMIT):
+                why = f"{count} cost {found.cost_beside(best)}"
+                break
+            fewest, score = count, found
+        saved = f"{most - fewest} of {most} looked up" if fewest < most else "nothing"
+        self._chose(f"photographs in a pixel: {fewest}", saved, score.cost_beside(best), why)
+        self._model(sources=fewest)
+        return score
+
+    def _thinning(self, kept: tuple[View, ...], best: Score) -> Score:
+        """Half of the faces, and half of these, as long as it costs no more than the limit; what is left."""
+        before, score = len(self.scene.mesh.faces), best
         whole = self.scene
         while True:
             fewer = halved(self.scene)
@@ -240,10 +255,13 @@ class _Sizing:
         return self.judge.score(lambda view: renderer.render(view.camera, without={view.name}))
 
     def _predicted(
-        self, scene: Scene, kept: tuple[View, ...], supersample: int = 1
+        self, scene: Scene, kept: tuple[View, ...], supersample: int = 1, sources: int | None = None
     ) -> Callable[[View], Tensor]:
         """Views as a scene's photographs over its vertices' mean colours show them."""
-        model: ModelConfig = replace(self.config.model, degree=0, widths=(), supersample=supersample)
+        whole = self.config.model
+        model: ModelConfig = replace(
+            whole, degree=0, widths=(), supersample=supersample, sources=sources or whole.sources
+        )
         renderer = Renderer(model, [scene.mesh])
         renderer.set_colours(mean_colours(renderer.layers))
         renderer.remember(scene, kept)
