@@ -102,7 +102,8 @@ ZOOM = click.FloatRange(min=0, min_open=True)
 @click.option(
     "--exposure/--no-exposure",
     default=None,
-    help="Tell exposures apart from what is photographed; for presets that blend no photographs.",
+    help="Tell exposures, where they differ, apart from what is photographed; for presets that blend no "
+    "photographs.  [default: in npbg to adversarial]",
 )
 @click.option(
     "--inspect/--no-inspect",

@@ -25,7 +25,6 @@ from nmbg.model.renderer import Renderer
 from nmbg.scene import Scene, View
 from nmbg.training import checkpoint, loop
 from nmbg.training.config import PRESETS, TrainConfig
-from nmbg.training.run_views import load_exposures
 from nmbg.training.trainer import resume, train
 from nmbg.training.views import Example
 
@@ -410,34 +409,6 @@ def test_training_views_are_evaluated_without_their_photograph(
     ]
     assert before[0] == after[0]
     assert before[1] != after[1]
-
-
-def test_exposures_are_told_apart_from_what_is_photographed(
-    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One photograph is darkened; the others around its camera say how bright a view from there is."""
-    load = Scene.load_image
-    scene = Scene.load(scene_folder)
-    dark = scene.train[2].name
-
-    def dim(self: Scene, view: View) -> Image:
-        image = load(self, view)
-        return (image * 0.7).astype(np.uint8) if view.name == dark else image
-
-    monkeypatch.setattr(Scene, "load_image", dim)
-    config = replace(SMALL["mesh"], iterations=0, start="mean", validation_views=0)
-    run = train(scene, replace(config, exposure=True), tmp_path / "exposed")
-    exposures = load_exposures(run)
-    assert exposures is not None
-    gains = {name: float(e.gain.mean()) for name, e in zip(exposures.names, exposures.values, strict=True)}
-    assert min(gains, key=lambda name: gains[name]) == dark
-    renderer = checkpoint.load_run(run).renderer
-    plain = checkpoint.load_run(train(scene, config, tmp_path / "plain")).renderer
-    camera = scene.train[2].camera
-    expected = exposures.around(camera.centre, {dark}).apply(plain.render(camera))
-    torch.testing.assert_close(renderer.render(camera, {dark}), expected.clamp(0, 1))
-    with pytest.raises(ValueError, match="exposed alike already"):
-        replace(PRESETS["nmbg"], exposure=True)
 
 
 def test_the_loss_looks_at_renders_as_the_photograph_was_exposed() -> None:

@@ -54,6 +54,10 @@ class Exposure(NamedTuple):
         """The colours on the mesh that a photograph [3, H, W] shows."""
         return (image - self.offset) / self.gain
 
+    def alike(self, image: Tensor, colour: Tensor) -> Tensor:
+        """Where a photograph [3, H, W] shows what the mesh does, [H, W] bool."""
+        return (self.undo(image) - colour).abs().amax(0) < ALIKE
+
 
 UNCHANGED = Exposure(torch.ones(3, 1, 1), torch.zeros(3, 1, 1))
 
@@ -98,7 +102,7 @@ def fit_exposure(image: Tensor, colour: Tensor, counted: Tensor) -> Exposure:
     image, colour, counted = (part[..., ::step, ::step].contiguous() for part in (image, colour, counted))
     found = UNCHANGED
     for _ in range(PASSES):
-        alike = counted & ((found.undo(image) - colour).abs().amax(0) < ALIKE)
+        alike = counted & found.alike(image, colour)
         if not alike.any():
             break
         found = _fit(colour.flatten(1), image.flatten(1), alike.flatten())

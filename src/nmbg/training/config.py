@@ -64,8 +64,9 @@ class TrainConfig:
         artificial_views: share of the steps that look at views without a photograph, for L_GAN alone, in
             [0, 1).
         validation_views: training views kept aside for progress figures; they are missed where there are few.
-        exposure: learn what photographs show but for their exposures, which are fitted in closed form; a new
-            view is exposed as those around it were. What blends photographs does so by itself.
+        exposure: learn what photographs show but for their exposures, where these differ
+            (`nmbg.training.exposures`); a new view is exposed as those around it were. What blends
+            photographs does so by itself.
         inspect: leave out training views that cannot be right (`nmbg.training.inspection`).
         refine: what is moved to where the photographs agree before anything else: "none", or "geometry" (the
             surface), "poses" (the training cameras) or "geometry,poses".

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from nmbg.cameras import Camera
 from nmbg.capacity.plan import plan
-from nmbg.model.exposure import Exposures, fit_exposure
 from nmbg.model.renderer import Prepared, Renderer
 from nmbg.progress import console
 from nmbg.reconstruct.poses import refine_poses
-from nmbg.reconstruct.prediction import shade
 from nmbg.reconstruct.refinement import refine_geometry, views_for
 from nmbg.scene import Scene, View
 from nmbg.training import checkpoint
 from nmbg.training.artificial import ArtificialCameras
 from nmbg.training.camera_picture import camera_picture
 from nmbg.training.config import AS_TAKEN, TrainConfig
+from nmbg.training.exposures import find_exposures
 from nmbg.training.inspection import doubtful, without
 from nmbg.training.left_out import LeftOut, can_leave_out, fit_left_out, refit_left_out
 from nmbg.training.optimiser import Part, descriptors_part
@@ -177,7 +175,7 @@ def begin(
         scene = refine_poses(scene)
     if "geometry" in config.refine:
         scene = replace(scene, mesh=refine_geometry(scene, views=views_for(config.minutes)))
-    exposures = fit_exposures(scene, split_training(scene, config)[0]) if config.exposure else None
+    exposures = find_exposures(scene, split_training(scene, config)[0]) if config.exposure else None
     save_views(folder, scene, left_out, exposures)
     planned = plan(scene, config)
     scene, config = planned.scene, planned.config
@@ -205,20 +203,6 @@ def split_training(scene: Scene, config: TrainConfig) -> tuple[tuple[View, ...],
         return tuple(view for i, view in enumerate(views) if (i in chosen) is which)
 
     return pick(False), pick(True)
-
-
-def fit_exposures(scene: Scene, views: Sequence[View]) -> Exposures:
-    """How photographs differ from the mean colours on the mesh."""
-    values = []
-    for view in views:
-        camera, mask = view.camera, scene.load_mask(view)
-        colour, counted = shade(scene.mesh, camera)
-        if mask is not None:
-            counted &= torch.from_numpy(mask)
-        image = torch.from_numpy(scene.load_image(view)).permute(2, 0, 1) / 255
-        values.append(fit_exposure(image, colour.permute(2, 0, 1) / 255, counted))
-    centres = np.stack([view.camera.centre for view in views])
-    return Exposures(tuple(view.name for view in views), centres, tuple(values))
 
 
 def _fit_colours(scene: Scene, config: TrainConfig, renderer: Renderer) -> ColourFit | None:
