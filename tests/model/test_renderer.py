@@ -101,6 +101,17 @@ def test_render_any_size_is_an_image(bumpy: Mesh, camera: Camera, size: tuple[in
     assert image.isfinite().all()
 
 
+def test_bfloat16_changes_a_view_by_about_a_byte(bumpy: Mesh, camera: Camera) -> None:
+    torch.manual_seed(1)
+    renderer = Renderer(NETWORK, [bumpy])
+    torch.nn.init.normal_(renderer.descriptors[0].coeffs, std=0.3)
+    exact = renderer.render(camera)
+    renderer.bf16 = True
+    rounded = renderer.render(camera)
+    assert rounded.dtype == torch.float32
+    assert 0 < (rounded - exact).square().mean().sqrt() < 1 / 255
+
+
 def test_looking_away_is_plain(bumpy: Mesh, camera: Camera) -> None:
     away = replace(camera, R=np.diag([1.0, -1.0, -1.0]), t=np.array([0.0, 0, -3]))
     image = Renderer(COLOUR, [bumpy]).render(away)

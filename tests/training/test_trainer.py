@@ -55,6 +55,17 @@ def test_every_preset_trains_and_renders(scene_folder: Path, tmp_path: Path, nam
     assert loaded.renderer.render(view.camera).isfinite().all()
 
 
+@pytest.mark.parametrize("faster", [True, False])
+def test_networks_render_in_the_faster_precision(
+    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, faster: bool
+) -> None:
+    monkeypatch.setattr(checkpoint, "bf16_is_faster", lambda device: faster)
+    scene = Scene.load(scene_folder)
+    for preset, expected in (("nmbg", faster), ("photos", False)):
+        run = train(scene, replace(SMALL[preset], iterations=0), tmp_path / preset)
+        assert checkpoint.load_run(run).renderer.bf16 is expected
+
+
 def test_mesh_training_improves_on_its_start(scene_folder: Path, tmp_path: Path) -> None:
     config = replace(SMALL["mesh"], iterations=60, start="mean", validation_views=1)
     run = train(Scene.load(scene_folder), config, tmp_path / "run")

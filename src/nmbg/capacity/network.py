@@ -94,7 +94,7 @@ def race(
     for widths in candidates(config.model.widths):
         torch.manual_seed(config.seed)
         model = Renderer(replace(config.model, widths=widths), renderer.layers)
-        model.photographs = renderer.photographs
+        model.photographs, model.bf16 = renderer.photographs, config.bf16
         if fps is None or seconds_per_frame(model, frame) <= 1 / fps:
             racers.append(Racer(model, network_multiply_adds(model, frame), none))
     if not racers:

@@ -45,11 +45,17 @@ class Renderer(nn.Module):
         self.photographs: Photographs | None = None
         # Of training photographs; photographs that are blended know their own.
         self.exposures: Exposures | None = None
+        # Whether render() runs the network in bfloat16, which changes a view by about what bytes round off.
+        self.bf16 = False
         self.network = make_network(config) if network is None else network
 
     @property
     def _descriptors(self) -> list[Descriptors]:
         return cast("list[Descriptors]", list(self.descriptors))
+
+    @property
+    def _device(self) -> torch.device:
+        return self._descriptors[0].coeffs.device
 
     @torch.no_grad()
     def set_colours(self, coeffs: Sequence[Tensor]) -> None:
@@ -122,7 +128,7 @@ class Renderer(nn.Module):
     def _fuse(self, gathered: Gathered) -> Tensor:
         """Mesh and photographs as one image; the network re-weights the photographs and adds to them."""
         assert self.network is not None
-        gathered = gathered.to(self._descriptors[0].coeffs.device)
+        gathered = gathered.to(self._device)
         features = gathered.features()[None].to(memory_format=torch.channels_last)
         added, preference = self.network(features)
         weights = gathered.weights.float() * preference.exp()
@@ -149,7 +155,8 @@ class Renderer(nn.Module):
             # Of nothing at all, a network would show its borders.
             nothing = isinstance(sight, list) and all(layer.empty for layer in sight)
             grey = torch.full((3, camera.height, camera.width), 0.5)
-            image: Tensor = grey if nothing else self(sight, camera)
+            with torch.autocast(self._device.type, torch.bfloat16, enabled=self.bf16):
+                image: Tensor = grey if nothing else self(sight, camera)
         finally:
             self.train(training)
         if self.exposures is not None:

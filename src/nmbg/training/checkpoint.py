@@ -27,6 +27,7 @@ from nmbg.model.config import ModelConfig
 from nmbg.model.renderer import Renderer
 from nmbg.scene import Scene, View
 from nmbg.training.config import Stage, TrainConfig
+from nmbg.training.precision import bf16_is_faster
 from nmbg.training.run_views import load_exposures
 
 CONFIG = "config.yaml"
@@ -246,7 +247,7 @@ def load_optimisers(checkpoint: Path) -> dict[str, Any]:
 
 
 def load_run(run: Path, device: str = "cpu") -> Run:
-    """Load a run for rendering.
+    """Load a run for rendering; its network renders in bfloat16 where that is faster here.
 
     Args:
         run: a run folder.
@@ -264,6 +265,7 @@ def load_run(run: Path, device: str = "cpu") -> Run:
     load_module(checkpoint, "network", renderer.network)
     remember_photographs(run, renderer)
     renderer.exposures = load_exposures(run)
+    renderer.bf16 = renderer.network is not None and bf16_is_faster(device)
     return Run(run, folder, config, renderer.eval())
 
 

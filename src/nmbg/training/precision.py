@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import cache
 
 import torch
 from torch import nn
@@ -17,8 +18,8 @@ def bf16_is_faster(device: str) -> bool:
     """Whether convolutions are faster in bfloat16 than in float32.
 
     Processors that list the same instructions differ: beside float32, AVX-512's bfloat16 takes half the time
-    on one and twice on the next (docs/performance.md). So it is measured, in a tenth of a second; several
-    processes agree.
+    on one and twice on the next (docs/performance.md). So it is measured, once, in a tenth of a second;
+    several processes agree.
 
     Args:
         device: "cpu" or "cuda".
@@ -29,6 +30,7 @@ def bf16_is_faster(device: str) -> bool:
     return bool(processes.largest([half < GAIN * full])[0])
 
 
+@cache
 def _seconds() -> tuple[float, float]:
     """The shortest times of a convolution, forward and backward, in bfloat16 and in float32."""
     with torch.random.fork_rng():  # the run's own numbers do not depend on it
