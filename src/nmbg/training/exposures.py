@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nmbg.model.exposure import UNCHANGED, Exposures, fit_exposure, mean_exposure
+from nmbg.model.exposure import Exposures, fit_exposure, mean_exposure
 from nmbg.progress import console
 from nmbg.reconstruct.prediction import shade
 from nmbg.scene import Scene, View, evenly
@@ -49,10 +49,10 @@ def _gained(scene: Scene, exposures: Exposures, views: Sequence[View]) -> float:
         image, colour, counted = _colours(scene, view)
         own = exposures.names.index(view.name)
         others = [exposure for i, exposure in enumerate(exposures.values) if i != own]
-        all_ = mean_exposure(others, [1 / len(others)] * len(others)) if others else UNCHANGED
+        everywhere = mean_exposure(others, len(others) * [1 / max(1, len(others))])
         around = exposures.around(view.camera.centre, {view.name})
         alike = counted & exposures.values[own].alike(image, colour)
-        for i, exposure in enumerate((all_, around)):
+        for i, exposure in enumerate((everywhere, around)):
             errors[i] += float(((exposure.apply(colour) - image).square() * alike).mean())
     return 10 * math.log10(errors[0] / errors[1]) if errors.min() > 0 else 0.0
 
