@@ -5,13 +5,16 @@ Example:
 
 Faults: a black photograph, a wrong one, one pose wildly wrong, a view that sees no geometry, and losses of
 one view that are not finite (photographs are of bytes: none can hold a NaN). Budgets are those of
-stability.py, in steps. Finished runs are kept. `--quick` takes mesh and photos, and a quarter of the steps.
+stability.py, in steps. Finished runs are kept. Runs of few steps differ from seed to seed by more than a
+fault costs: `--times` takes so many times the steps, `--seeds` so many runs of each. `--quick` takes mesh and
+photos, one seed and a quarter of the steps.
 """
 
 from __future__ import annotations
 
 import os
 import shutil
+import statistics
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +27,7 @@ import numpy as np
 import torch
 from options import output_option, weights_option
 from record import command, provenance, write
-from sweep import STEPS, Job, Sweep, trained_in_steps
+from sweep import QUICK, STEPS, Job, Sweep, spread, trained_in_steps
 
 from nmbg.images import write_image
 from nmbg.scene import Scene, View
@@ -77,21 +80,36 @@ FAULTS: dict[str, Callable[[Scene, View], Scene]] = {
 @click.command()
 @click.argument("scene", type=click.Path(path_type=Path))
 @click.option("--presets", default=",".join(PRESETS), show_default=True, help="Separated by commas.")
-@click.option("--quick", is_flag=True, help="Mesh and photos, a quarter of the steps.")
+@click.option("--faults", default=",".join(FAULTS), show_default=True, help="Separated by commas.")
+@click.option("--seeds", type=click.IntRange(min=1), default=1, show_default=True, help="How many.")
+@click.option("--times", type=float, default=1.0, show_default=True, help="So many times the steps.")
+@click.option("--quick", is_flag=True, help="Mesh and photos, one seed, a quarter of the steps.")
 @weights_option
 @output_option("runs, JSON and table")
-def main(scene: Path, presets: str, quick: bool, weights: Path, output: Path) -> None:
+def main(
+    scene: Path,
+    presets: str,
+    faults: str,
+    seeds: int,
+    times: float,
+    quick: bool,
+    weights: Path,
+    output: Path,
+) -> None:
     """Train with every fault in turn; write faults.json and faults.md."""
+    seeds, times = (1, QUICK) if quick else (seeds, times)
     sweep, rows = Sweep(output, weights), {}
     names = [preset for preset in presets.split(",") if not quick or preset in ("mesh", "photos")]
     name = Scene.load(scene).train[len(Scene.load(scene).train) // 2].name
-    for fault, spoil in FAULTS.items():
+    for fault in faults.split(","):
         folder = output / "scenes" / f"{scene.name}-{fault.replace(' ', '-')}"
         if not (folder / "scene.json").exists():
             shutil.copytree(scene, folder, dirs_exist_ok=True)
             copy = Scene.load(folder)
-            spoil(copy, next(view for view in copy.views if view.name == name)).save(folder)
-        jobs = [Job(folder, trained_in_steps(preset, quick=quick)) for preset in names]
+            FAULTS[fault](copy, next(view for view in copy.views if view.name == name)).save(folder)
+        jobs = [
+            Job(folder, trained_in_steps(preset, seed, times)) for preset in names for seed in range(seeds)
+        ]
         losses = loop.losses
         if fault == "not finite":
             loop.losses = _poisoned(losses, name)
@@ -99,18 +117,18 @@ def main(scene: Path, presets: str, quick: bool, weights: Path, output: Path) ->
             records = sweep.measure(jobs, split=False)
         finally:
             loop.losses = losses
-        rows[fault] = {
-            job.config.preset: {
-                **record["figures"],
-                "named": name in record["left_out"] or name in record["figures"]["skipped"],
-            }
-            for job, record in zip(jobs, records, strict=True)
-        }
+        row: dict[str, list[dict[str, Any]]] = {}
+        for job, record in zip(jobs, records, strict=True):
+            named = name in record["left_out"] or name in record["figures"]["skipped"]
+            run = {"figures": record["figures"], "named": named, "seed": job.config.seed}
+            row.setdefault(job.config.preset, []).append(run)
+        rows[fault] = row
     results = {
         "command": command(),
         "scene": scene.name,
         "view": name,
         "iterations": STEPS,
+        "times": times,
         **provenance(),
         "rows": rows,
     }
@@ -128,26 +146,29 @@ def _poisoned(losses: Callable[..., Any], name: str) -> Callable[..., Any]:
 
 def _table(results: dict[str, Any]) -> str:
     rows = results["rows"]
-    presets = list(rows["none"])
+    sound = rows["none"]
     lines = [
-        f"Scene {results['scene']}; one fault at training view {results['view']}.",
-        "PSNR of the held-out views, dB, what the fault costs, and whether the run names the view.",
+        f"Scene {results['scene']}; one fault at training view {results['view']}; {results['times']:g} times "
+        "the steps of stability.py.",
+        "PSNR of the held-out views, dB (mean ± half of the range of the seeds), what the fault costs, and "
+        "whether every run names the view.",
         "",
-        f"| fault | {' | '.join(presets)} |",
-        "|---|" + "---|" * len(presets),
+        f"| fault | {' | '.join(sound)} |",
+        "|---|" + "---|" * len(sound),
     ]
     for fault, row in rows.items():
         cells = []
-        for preset in presets:
-            cost = rows["none"][preset]["psnr"] - row[preset]["psnr"]
-            told = (
-                ""
-                if fault == "none"
-                else f" ({cost:+.2f}; {'named' if row[preset]['named'] else 'not named'})"
-            )
-            cells.append(f"{row[preset]['psnr']:.2f}{told}")
+        for preset, runs in row.items():
+            cost = _mean(sound[preset]) - _mean(runs)
+            named = "named" if all(run["named"] for run in runs) else "not named"
+            told = "" if fault == "none" else f" ({cost:+.2f}; {named})"
+            cells.append(f"{spread(runs, 'psnr', 2)}{told}")
         lines.append(f"| {fault} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
+
+
+def _mean(runs: list[dict[str, Any]]) -> float:
+    return statistics.fmean(run["figures"]["psnr"] for run in runs)
 
 
 if __name__ == "__main__":

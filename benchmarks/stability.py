@@ -23,7 +23,7 @@ from record import command, provenance, write
 from stress import STRESSES, Stress, Stressed
 from stress.curves import draw, pictures, table
 from stress.rendering import RENDERINGS, away, flicker, measure, soak
-from sweep import STEPS, Job, Sweep, trained_in_steps
+from sweep import QUICK, STEPS, Job, Sweep, trained_in_steps
 
 from nmbg.atomic import atomic_file
 from nmbg.scene import Scene
@@ -57,6 +57,7 @@ def main(
     names, chosen = presets.split(","), groups.split(",")
     if quick:
         names, cameras = [name for name in names if name in ("mesh", "photos")], cameras // 50
+    times = QUICK if quick else 1.0
     sweep, sound = Sweep(output, weights), Scene.load(scene)
     failed: dict[str, str] = {}
 
@@ -76,7 +77,7 @@ def main(
             for name in names:
                 if stress.presets is not None and name not in stress.presets:
                     continue
-                job = job_for(scene, name, stress, severity, quick)
+                job = job_for(scene, name, stress, severity, times)
                 if (record := run(job)) is not None:
                     judged = [record["views"][view] for view in stress.judged(sound, severity)]
                     point = {
@@ -91,7 +92,7 @@ def main(
     rendered: dict[str, Any] = {}
     if "rendering" in chosen:
         for name in names:
-            job = Job(scene, trained_in_steps(name, quick=quick))
+            job = Job(scene, trained_in_steps(name, times=times))
             if run(job) is None:
                 continue
             renderer = load_run(sweep.folder(job)).renderer
@@ -108,7 +109,7 @@ def main(
     if "seeds" in chosen:
         for name in names:
             for seed in range(1 if quick else SEEDS):
-                if (record := run(Job(scene, trained_in_steps(name, seed, quick)))) is not None:
+                if (record := run(Job(scene, trained_in_steps(name, seed, times)))) is not None:
                     spreads.setdefault(name, []).append(record["figures"]["psnr"])
     results = {
         "command": command(),
@@ -133,9 +134,9 @@ def severities(stress: Stress, quick: bool) -> tuple[float, ...]:
     return (stress.severities[0], middle) if quick else stress.severities
 
 
-def job_for(scene: Path, preset: str, stress: Stress, severity: float, quick: bool) -> Job:
+def job_for(scene: Path, preset: str, stress: Stress, severity: float, times: float = 1.0) -> Job:
     """A run of a stress; all stresses share the one without."""
-    config = trained_in_steps(preset, quick=quick)
+    config = trained_in_steps(preset, times=times)
     if severity == stress.severities[0] or not stress.trains:
         return Job(scene, config)
     if stress.config is not None:

@@ -30,6 +30,7 @@ METRICS = ("psnr", "ssim", "ssim_svs", "lpips")
 TRAINING_VIEWS = 16  # that are judged beside the held-out ones
 # Steps of about one minute, reading the scene and fitting it included; of mesh ten passes over the fox.
 STEPS = {"mesh": 430, "npbg": 220, "paper": 330, "nmbg": 800}
+QUICK = 0.25  # times these, where something is only tried
 
 
 @dataclass(frozen=True)
@@ -209,10 +210,10 @@ def in_precision(config: TrainConfig, bf16: bool | None = None) -> TrainConfig:
     return replace(config, bf16=bf16_is_faster(config.device) if bf16 is None else bf16)
 
 
-def trained_in_steps(preset: str, seed: int = 0, quick: bool = False) -> TrainConfig:
-    """A preset with a budget that does not depend on what else the machine does; a quarter of it if quick."""
+def trained_in_steps(preset: str, seed: int = 0, times: float = 1.0) -> TrainConfig:
+    """A preset with so many times the steps of about a minute, whatever else the machine does."""
     steps = STEPS.get(preset)
-    return trained_for(preset, None, seed, iterations=steps // 4 if quick and steps else steps)
+    return trained_for(preset, None, seed, iterations=steps and int(times * steps))
 
 
 def spread(records: Sequence[dict[str, Any]], name: str, digits: int) -> str:

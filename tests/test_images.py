@@ -8,7 +8,17 @@ import pycolmap
 import pytest
 
 from nmbg.errors import NmbgError
-from nmbg.images import image_size, read_image, read_mask, resize, undistort, undistorted_camera, write_image
+from nmbg.images import (
+    from_bytes,
+    image_size,
+    read_image,
+    read_mask,
+    resize,
+    to_bytes,
+    undistort,
+    undistorted_camera,
+    write_image,
+)
 
 
 def noise(height: int = 40, width: int = 60, channels: int = 3) -> np.ndarray:
@@ -19,6 +29,15 @@ def test_png_keeps_every_value(tmp_path: Path) -> None:
     write_image(tmp_path / "a.png", noise())
     assert np.array_equal(read_image(tmp_path / "a.png"), noise())
     assert image_size(tmp_path / "a.png") == (60, 40)
+
+
+def test_every_byte_comes_back_from_a_tensor() -> None:
+    image = np.arange(3 * 256, dtype=np.int64).reshape(16, 16, 3) // 3
+    tensor = from_bytes(image.astype(np.uint8))
+    assert tensor.shape == (3, 16, 16)
+    assert tensor.min() == 0
+    assert tensor.max() == 1
+    assert np.array_equal(to_bytes(tensor), image)
 
 
 @pytest.mark.parametrize("channels", [1, 2, 4])

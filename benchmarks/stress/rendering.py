@@ -18,7 +18,7 @@ from warp import psnr, warped
 
 from nmbg.atomic import atomic_file
 from nmbg.cameras import Camera
-from nmbg.images import resize, to_bytes, write_image
+from nmbg.images import from_bytes, resize, to_bytes, write_image
 from nmbg.model.renderer import Renderer
 from nmbg.paths import through
 from nmbg.progress import progress_bar
@@ -163,15 +163,15 @@ def _compare(
     own = to_bytes(renderer.render(of, without={view.name}))
     if scale > 1:
         small = camera.resized(max(1, round(camera.width / scale)), max(1, round(camera.height / scale)))
-        image, camera = _tensor(resize(to_bytes(image), small.width, small.height)), small
+        image, camera = from_bytes(resize(to_bytes(image), small.width, small.height)), small
     elif scale < 1:
         of = of.resized(max(1, round(of.width * scale)), max(1, round(of.height * scale)))
         photograph, own = (resize(x, of.width, of.height) for x in (photograph, own))
     shown, seen = warped(image, camera, look(scene.mesh, camera).depth, of, look(scene.mesh, of).depth)
     if seen.float().mean() < LEAST_SEEN:
         return None
-    value = psnr(shown, _tensor(photograph), seen)
-    beside = psnr(_tensor(own), _tensor(photograph), seen)
+    value = psnr(shown, from_bytes(photograph), seen)
+    beside = psnr(from_bytes(own), from_bytes(photograph), seen)
     assert value is not None
     assert beside is not None
     return value, beside - value
@@ -253,7 +253,3 @@ def _kept(path: Path, compute: Callable[[], dict[str, Any]], finished: bool) -> 
             temporary.write_text(json.dumps(compute()))
     found: dict[str, Any] = json.loads(path.read_text())
     return found
-
-
-def _tensor(image: Any) -> Tensor:
-    return torch.from_numpy(image).permute(2, 0, 1).float() / 255

@@ -79,6 +79,11 @@ def to_bytes(image: Tensor) -> Image:
     return pixels
 
 
+def from_bytes(image: Image) -> Tensor:
+    """[H, W, C] uint8 → [C, H, W] float32 in [0, 1]."""
+    return torch.from_numpy(image).permute(2, 0, 1) / 255
+
+
 def can_write(suffix: str) -> bool:
     """Whether OpenImageIO was built with this format."""
     return oiio.ImageOutput.create(f"image{suffix}") is not None

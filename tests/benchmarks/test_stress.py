@@ -178,4 +178,4 @@ def test_views_beyond_the_cameras_are_those_that_the_tables_name(scene):
     dtu = replace(scene, views=views)
     assert stress.judged(dtu, 0) == ("13", "14", "15", "23", "24", "25")
     assert stress.judged(dtu, 1) == ("00", "04", "38", "48")
-    assert job_for(Path("dtu"), "photos", stress, 1, quick=False).stressed is None
+    assert job_for(Path("dtu"), "photos", stress, 1).stressed is None

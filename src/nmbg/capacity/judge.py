@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from nmbg.evaluation.metrics import ssim
+from nmbg.images import from_bytes
 from nmbg.scene import Scene, View
 
 # So many views judge.
@@ -75,5 +76,5 @@ class Judge:
     def _wanted(self, view: View) -> tuple[Tensor, Tensor]:
         """A photograph [3, H, W] in [0, 1], and which of its pixels count, [H, W] of 0 and 1."""
         image, mask = self._load(view)
-        target = torch.from_numpy(image).permute(2, 0, 1) / 255
+        target = from_bytes(image)
         return target, torch.ones(target.shape[1:]) if mask is None else torch.from_numpy(mask).float()

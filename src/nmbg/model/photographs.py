@@ -19,6 +19,7 @@ from torch import Tensor
 
 from nmbg.blending import blend_into
 from nmbg.cameras import Camera
+from nmbg.images import from_bytes
 from nmbg.model.cover import SourceCover
 from nmbg.model.exposure import Exposure, fit_exposure, mean_exposure, neighbours
 from nmbg.ops import Blend, mip_chain
@@ -236,7 +237,7 @@ class Photographs:
         return source
 
     def _prepare(self, view: View) -> Source:
-        image = torch.from_numpy(self.scene.load_image(view)).permute(2, 0, 1) / 255
+        image = from_bytes(self.scene.load_image(view))
         colours, depth = self.mesh(view.camera)
         mask = self.scene.load_mask(view)
         keep = None if mask is None else torch.from_numpy(mask)

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from nmbg.cameras import Camera
-from nmbg.images import resize
+from nmbg.images import from_bytes, resize
 from nmbg.model.config import ModelConfig
 from nmbg.model.exposure import fit_exposure
 from nmbg.model.fragments import rasterize_finest
@@ -107,7 +107,7 @@ def _round(scene: Scene, views: dict[str, View], blur: int) -> dict[str, View]:
 def _aligned(scene: Scene, view: View, given: Camera, colours: Renderer, blur: int) -> Camera:
     """The view's camera after one Gauss-Newton step; `given` is the one that it began with."""
     small = view.camera.within(SIZE)
-    image = torch.from_numpy(resize(scene.load_image(view), small.width, small.height)).permute(2, 0, 1) / 255
+    image = from_bytes(resize(scene.load_image(view), small.width, small.height))
     fragments = rasterize_finest(scene.mesh, small, _COLOURS)
     depth, face = fragments.depth, fragments.levels[0].face
     assert depth is not None

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from nmbg.images import from_bytes
 from nmbg.model.exposure import Exposures, fit_exposure, mean_exposure
 from nmbg.progress import console
 from nmbg.reconstruct.prediction import shade
@@ -63,5 +64,4 @@ def _colours(scene: Scene, view: View) -> tuple[Tensor, Tensor, Tensor]:
     colour, counted = shade(scene.mesh, view.camera)
     if mask is not None:
         counted &= torch.from_numpy(mask)
-    image = torch.from_numpy(scene.load_image(view)).permute(2, 0, 1) / 255
-    return image, colour.permute(2, 0, 1) / 255, counted
+    return from_bytes(scene.load_image(view)), colour.permute(2, 0, 1) / 255, counted

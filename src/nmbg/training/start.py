@@ -10,6 +10,7 @@ from copy import copy
 import torch
 from torch import Tensor
 
+from nmbg.images import from_bytes
 from nmbg.mesh import Mesh
 from nmbg.model.descriptors import SH_CONSTANT
 from nmbg.ops import rasterize_faces, scatter_faces
@@ -129,7 +130,7 @@ class ColourFit:
         """Vertices [V] that a view sees, and its sums Σ Y_b · (Y, colour) there, [V, bases, bases + 3]."""
         camera, faces = view.camera, torch.from_numpy(mesh.faces)
         rays = camera.rays()
-        colour = torch.from_numpy(self.scene.load_image(view)).permute(2, 0, 1) / 255
+        colour = from_bytes(self.scene.load_image(view))
         shown = torch.cat([harmonics(rays, self.bases).permute(2, 0, 1), colour])
         mask = self.scene.load_mask(view)
         if mask is not None:
