@@ -9,7 +9,7 @@ from torch import Tensor
 
 from nmbg.scene import Scene
 from nmbg.training.config import PRESETS
-from nmbg.training.member import Member, begin
+from nmbg.training.member import SEEN, Member, begin
 from nmbg.training.views import Example
 
 CONFIG = replace(PRESETS["npbg"], perceptual="none", iterations=6)
@@ -22,9 +22,14 @@ def points(example: Example) -> Tensor:
     return index
 
 
-def test_every_step_hides_others_and_progress_figures_none(scene_folder: Path, tmp_path: Path) -> None:
+@pytest.fixture
+def member(scene_folder: Path, tmp_path: Path) -> Member:
     scene, config, renderer, fit = begin(Scene.load(scene_folder), CONFIG, tmp_path, None)
-    member = Member(tmp_path, scene, config, renderer, fit)
+    return Member(tmp_path, scene, config, renderer, fit)
+
+
+def test_every_step_hides_others_and_progress_figures_none(member: Member) -> None:
+    member.steps = SEEN * len(member.training)
     whole = points(member.training.frame(0))
     first, second, again = (points(member.example(0, step)) for step in (1, 2, 1))
     assert torch.equal(first, again)
@@ -32,6 +37,11 @@ def test_every_step_hides_others_and_progress_figures_none(scene_folder: Path, t
     hidden = [int(((index < 0) & (whole >= 0)).sum()) for index in (first, second)]
     assert all(0 < count < 0.5 * int((whole >= 0).sum()) for count in hidden)
     assert torch.equal(points(member.training.frame(0)), whole)
+
+
+def test_none_are_hidden_before_the_views_have_been_seen_a_few_times(member: Member) -> None:
+    member.steps = SEEN * len(member.training) - 1
+    assert torch.equal(points(member.example(0, 1)), points(member.training.frame(0)))
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.0, float("nan")])

@@ -54,8 +54,9 @@ class TrainConfig:
         zoom: least and largest random zoom of training windows, beside the photographs' own pixels.
         window: sides of a random window as a share of the image's; where the zoom is as small, it shows the
             whole frame.
-        hide_points: largest share of the points that is missing at random in a step, in [0, 1); the share is
-            drawn anew for each. A network that has learnt with holes is sharper where a new view has some.
+        hide_points: largest share of the points that is missing at random in a step, in [0, 1), once the
+            views have been seen a few times; the share is drawn anew for each. A network that has learnt with
+            holes is sharper where a new view has some.
         iterations: steps in all, or None.
         epochs: passes over the training views, or None.
         minutes: wall-clock budget, or None. Exactly one of the three is set.

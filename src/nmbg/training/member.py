@@ -30,6 +30,7 @@ from nmbg.training.start import ColourFit, mean_colours
 from nmbg.training.views import Example, Views, random_window
 
 PICTURED = 200  # artificial cameras in the run's picture
+SEEN = 5  # passes before points are hidden: what is new cannot be over-fitted yet
 
 
 class Member:
@@ -105,7 +106,7 @@ class Member:
         """What a step looks at: a training view, or an artificial one for None; with points missing."""
         generator = torch.Generator().manual_seed(self.config.seed * 1_000_003 + step)
         example = self._example(view, generator)
-        if not self.config.hide_points:
+        if not self.config.hide_points or self.steps < SEEN * len(self.training):
             return example
         assert isinstance(example.sight, list)
         share = self.config.hide_points * float(torch.rand((), generator=generator))
