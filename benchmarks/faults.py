@@ -68,7 +68,6 @@ def _moved(scene: Scene, view: View, R: Any, t: Any) -> Scene:
 
 
 FAULTS: dict[str, Callable[[Scene, View], Scene]] = {
-    "none": lambda scene, view: scene,
     "black photograph": black,
     "wrong photograph": wrong_photograph,
     "wrong pose": wrong_pose,
@@ -97,16 +96,20 @@ def main(
     output: Path,
 ) -> None:
     """Train with every fault in turn; write faults.json and faults.md."""
+    chosen = faults.split(",")
+    if not set(chosen) <= FAULTS.keys():
+        raise click.UsageError(f"--faults {faults}: choose from {', '.join(FAULTS)}")
     seeds, times = (1, QUICK) if quick else (seeds, times)
     sweep, rows = Sweep(output, weights), {}
     names = [preset for preset in presets.split(",") if not quick or preset in ("mesh", "photos")]
     name = Scene.load(scene).train[len(Scene.load(scene).train) // 2].name
-    for fault in faults.split(","):
+    for fault in ("none", *chosen):
         folder = output / "scenes" / f"{scene.name}-{fault.replace(' ', '-')}"
         if not (folder / "scene.json").exists():
             shutil.copytree(scene, folder, dirs_exist_ok=True)
             copy = Scene.load(folder)
-            FAULTS[fault](copy, next(view for view in copy.views if view.name == name)).save(folder)
+            view = next(view for view in copy.views if view.name == name)
+            (copy if fault == "none" else FAULTS[fault](copy, view)).save(folder)
         jobs = [
             Job(folder, trained_in_steps(preset, seed, times)) for preset in names for seed in range(seeds)
         ]
