@@ -5,9 +5,9 @@ Example:
 
 Faults: a black photograph, a wrong one, one pose wildly wrong, a view that sees no geometry, and losses of
 one view that are not finite (photographs are of bytes: none can hold a NaN). Budgets are those of
-stability.py, in steps. Finished runs are kept. Runs of few steps differ from seed to seed by more than a
-fault costs: `--times` takes so many times the steps, `--seeds` so many runs of each. `--quick` takes mesh and
-photos, one seed and a quarter of the steps.
+stability.py, in steps; `--times` takes so many times these, `--seeds` so many runs of each, which tell what a
+fault costs from what runs differ by. Finished runs are kept. `--quick` takes mesh and photos, one seed and a
+quarter of the steps.
 """
 
 from __future__ import annotations
@@ -102,7 +102,8 @@ def main(
     seeds, times = (1, QUICK) if quick else (seeds, times)
     sweep, rows = Sweep(output, weights), {}
     names = [preset for preset in presets.split(",") if not quick or preset in ("mesh", "photos")]
-    name = Scene.load(scene).train[len(Scene.load(scene).train) // 2].name
+    train = Scene.load(scene).train
+    name = train[len(train) // 2].name
     for fault in ("none", *chosen):
         folder = output / "scenes" / f"{scene.name}-{fault.replace(' ', '-')}"
         if not (folder / "scene.json").exists():
