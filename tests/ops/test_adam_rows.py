@@ -3,6 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
+from nmbg.model.unet import UNet
 from nmbg.ops import adam_rows, reference
 from nmbg.training.optimiser import RowAdam
 
@@ -30,6 +31,26 @@ def test_agrees_with_the_twin(dtype: torch.dtype, rows: int, width: int, chosen:
         untouched[index] = False
         assert torch.equal(a[untouched], before[untouched])
         assert chosen == 0 or not torch.equal(a[index], before[index])
+
+
+def test_what_zeros_are_moved_by_does_not_hold_back_later_steps() -> None:
+    """Features that are all the same are divided by almost nothing on the way to a loss."""
+    torch.manual_seed(0)
+    network = UNet(1, 4, (8, 16, 24)).double()
+    table = torch.nn.Parameter(torch.zeros(64, 4, dtype=torch.float64))
+    optimiser = RowAdam([table], lr=0.1)
+    moved, largest = [], []
+    for _ in range(60):
+        before, target = table.detach().clone(), torch.rand(1, 3, 8, 8, dtype=torch.float64)
+        features = table.T.reshape(1, 4, 8, 8)
+        pyramid = [torch.nn.functional.avg_pool2d(features, 2**k) for k in range(3)]
+        (grad,) = torch.autograd.grad((network([pyramid]) - target).square().mean(), table)
+        table.grad = grad.to_sparse(1)
+        optimiser.step()
+        moved.append(float((table.detach() - before).abs().median()))
+        largest.append(float(grad.abs().max()))
+    assert largest[0] > 1e2 * max(largest[1:])
+    assert min(moved) > 0.005
 
 
 def test_moves_as_torchs_own_sparse_adam() -> None:

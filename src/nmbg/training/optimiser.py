@@ -18,6 +18,10 @@ class RowAdam(torch.optim.Optimizer):
 
     A row without a gradient neither moves nor forgets; the corrections of the moments count all steps.
 
+    The first step of a table of zeros leaves no moments. A network that normalises divides by almost nothing
+    where all features are the same: the gradient has signs, but is larger than any later one by four to five
+    orders of magnitude, and as a second moment it would hold back the rows that it moved for good.
+
     Args:
         tables: [N, C] each; their gradients are sparse in the first dimension.
         lr: learning rate.
@@ -43,6 +47,7 @@ class RowAdam(torch.optim.Optimizer):
                 if table.grad is None:
                     continue
                 state = self.state[table]
+                zeros = not state and not table.any()
                 if not state:
                     state |= {
                         "step": 0,
@@ -56,6 +61,8 @@ class RowAdam(torch.optim.Optimizer):
                 adam_rows(
                     table, state["exp_avg"], state["exp_avg_sq"], index, grad, rate, betas, group["eps"]
                 )
+                if zeros:
+                    state.clear()
 
 
 def _rows(grad: Tensor) -> tuple[Tensor, Tensor]:
