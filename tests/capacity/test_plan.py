@@ -7,6 +7,7 @@ from typing import cast
 import pytest
 from click.testing import CliRunner
 
+from nmbg.cameras import Camera
 from nmbg.capacity.cost import multiply_adds, network_multiply_adds
 from nmbg.capacity.export import export_compact
 from nmbg.capacity.judge import Score
@@ -72,6 +73,23 @@ def test_wishes_are_met(scene_folder: Path) -> None:
     assert fast.config.stages == ()
     tiny = plan(scene, replace(AUTO, megabytes=1e-6))
     assert tiny.storage == STORAGES[0]
+
+
+def test_frames_are_timed_in_the_precision_in_which_they_will_be_rendered(
+    scene_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    timed = []
+
+    def seconds(renderer: Renderer, camera: Camera) -> float:
+        timed.append(renderer.bf16)
+        return 1.0
+
+    monkeypatch.setattr("nmbg.capacity.network.seconds_per_frame", seconds)
+    for faster in (True, False):
+        monkeypatch.setattr("nmbg.capacity.network.bf16_is_faster", lambda device, faster=faster: faster)
+        plan(Scene.load(scene_folder), replace(AUTO, fps=30, bf16=not faster))
+        assert set(timed) == {faster}
+        timed.clear()
 
 
 @pytest.mark.parametrize(("limit", "fewest"), [(Score(99, 1), 1), (Score(-99, -1), 5)])

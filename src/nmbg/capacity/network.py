@@ -19,6 +19,7 @@ from nmbg.scene import Scene, View, evenly
 from nmbg.training.budget import Budget, Clock
 from nmbg.training.config import TrainConfig
 from nmbg.training.left_out import LeftOut
+from nmbg.training.precision import bf16_is_faster
 from nmbg.training.start import ColourFit
 from nmbg.training.views import Views
 
@@ -94,7 +95,7 @@ def race(
     for widths in candidates(config.model.widths):
         torch.manual_seed(config.seed)
         model = Renderer(replace(config.model, widths=widths), renderer.layers)
-        model.photographs, model.bf16 = renderer.photographs, config.bf16
+        model.photographs, model.bf16 = renderer.photographs, bf16_is_faster(config.device)
         if fps is None or seconds_per_frame(model, frame) <= 1 / fps:
             racers.append(Racer(model, network_multiply_adds(model, frame), none))
     if not racers:
