@@ -7,7 +7,7 @@ Example:
 Each preset is trained on all scenes, then fine-tuned on the target, beside training on the target alone for
 as long as the fine-tuning. Then some epochs of the preset `nmbg` on all scenes in one process of two threads,
 three seeds, and in two processes of one thread under torchrun. Finished runs are kept. `--quick` takes half a
-minute a run and one epoch; the full form 50 to 70 minutes on two cores.
+minute a run and one epoch; the full form 40 to 70 minutes on two cores.
 """
 
 from __future__ import annotations
