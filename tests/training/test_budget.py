@@ -45,3 +45,10 @@ def test_stages_share_the_budget(progress: float, expected: tuple[int, float]) -
 def test_one_budget_only() -> None:
     with pytest.raises(ValueError, match="one of"):
         replace(CONFIG, minutes=1, epochs=1)
+
+
+@pytest.mark.parametrize("name", ["l1", "perceptual", "adversarial", "descriptor_rate", "network_rate"])
+@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
+def test_weights_and_rates_that_cannot_be_are_named(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"^{name}: expected a finite number"):
+        replace(CONFIG, stages=(replace(CONFIG.stages[0], **{name: value}),))

@@ -130,10 +130,10 @@ class TrainConfig:
         if self.hide_points and not self.model.points:
             raise ValueError("no points to hide: the model has none")
         for stage in self.stages:
-            weights = (stage.l1, stage.perceptual, stage.adversarial)
-            rates = (stage.descriptor_rate, stage.network_rate)
-            if not all(math.isfinite(value) and value >= 0 for value in (*weights, *rates)):
-                raise ValueError(f"weights and rates are not negative and finite; got {stage}")
+            for name in ("l1", "perceptual", "adversarial", "descriptor_rate", "network_rate"):
+                value = getattr(stage, name)
+                if not math.isfinite(value) or value < 0:
+                    raise ValueError(f"{name}: expected a finite number, not below 0, got {value}")
         if self.artificial_views and not all(stage.adversarial for stage in self.stages):
             raise ValueError("artificial views have no photograph: they need an adversarial loss")
 
