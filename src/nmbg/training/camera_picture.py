@@ -36,7 +36,7 @@ def camera_picture(scene: Scene, drawn: Sequence[Camera], size: int = 480) -> st
             x, y = corner + scale * np.array([1, -1]) * [(point - scene.centre) @ axis for axis in axes]
             return f"{x:.1f} {y:.1f}"
 
-        lines.append(f'<text x="{size * panel + 8}" y="17">{name}</text>')
+        lines.append(f'<text x="{size * panel + 8}" y="41">{name}</text>')
         x, y = at(scene.centre).split()
         lines.append(f'<circle cx="{x}" cy="{y}" r="{scale * scene.radius:.1f}" fill="none" stroke="#ccc"/>')
         for colour, cameras in (("#555", training), ("#d22", drawn)):
@@ -46,5 +46,5 @@ def camera_picture(scene: Scene, drawn: Sequence[Camera], size: int = 480) -> st
                 x, y = at(camera.centre).split()
                 lines.append(f'<circle cx="{x}" cy="{y}" r="2.5" fill="{colour}"/>')
     legend = f"{len(training)} training cameras (grey), {len(drawn)} artificial ones (red)"
-    lines.append(f'<text x="{size - 250}" y="17">{legend}</text>')
+    lines.append(f'<text x="8" y="17">{legend}</text>')
     return "\n".join([*lines, "</svg>"]) + "\n"
