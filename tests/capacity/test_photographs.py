@@ -44,3 +44,18 @@ def test_auto_drops_what_shows_nothing_new(scene_folder: Path, monkeypatch: pyte
 
     monkeypatch.setattr(Scene, "load_image", plain)
     assert len(choose_photographs(replace(scene, mesh=grey), "auto", MODEL)) == 1
+
+
+def test_auto_keeps_what_a_single_view_needs(scene_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two neighbours show what no other photograph shows: each is needed by the other alone."""
+    scene = Scene.load(scene_folder)
+    grey = replace(scene.mesh, colours=np.full_like(scene.mesh.colours, 128))
+    pair, load = scene.train[-2:], Scene.load_image
+
+    def plain(self: Scene, view: View) -> Image:
+        image = load(self, view)
+        return image if view in pair else np.full_like(image, 128)
+
+    monkeypatch.setattr(Scene, "load_image", plain)
+    kept = choose_photographs(replace(scene, mesh=grey), "auto", MODEL)
+    assert set(pair) <= set(kept)

@@ -56,22 +56,15 @@ class Judge:
         self._load = cache(lambda view: (scene.load_image(view), scene.load_mask(view)))
 
     def score(self, render: Callable[[View], Tensor]) -> Score:
-        """Score of renders [3, H, W] of the judging views."""
-        shown = {view: render(view).clamp(0, 1) for view in self.views}
-        similarity = 0.0
-        for view, estimate in shown.items():
-            target, counts = self._wanted(view)
-            similarity += ssim(estimate * counts, target * counts) if min(target.shape[1:]) > 5 else 0.0
-        return Score(self.psnr(shown.__getitem__), similarity / len(self.views))
-
-    def psnr(self, render: Callable[[View], Tensor]) -> float:
-        """Mean PSNR of renders [3, H, W] in [0, 1] of the judging views, over the pixels that count, dB."""
-        total = 0.0
+        """Score of renders [3, H, W] in [0, 1] of the judging views."""
+        psnr = similarity = 0.0
         for view in self.views:
             target, counts = self._wanted(view)
-            error = ((render(view) - target) * counts).square().sum() / (3 * counts.sum()).clamp(min=1)
-            total -= 10 * float(torch.log10(error.clamp(min=1e-10)))
-        return total / len(self.views)
+            estimate = render(view).clamp(0, 1) * counts
+            error = (estimate - target * counts).square().sum() / (3 * counts.sum()).clamp(min=1)
+            psnr -= 10 * float(torch.log10(error.clamp(min=1e-10)))
+            similarity += ssim(estimate, target * counts) if min(target.shape[1:]) > 5 else 0.0
+        return Score(psnr / len(self.views), similarity / len(self.views))
 
     def _wanted(self, view: View) -> tuple[Tensor, Tensor]:
         """A photograph [3, H, W] in [0, 1], and which of its pixels count, [H, W] of 0 and 1."""

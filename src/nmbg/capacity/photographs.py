@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
 from dataclasses import replace
+from functools import cache
 from typing import Literal
 
+import numpy as np
 import torch
+from scipy.spatial.distance import cdist
 
-from nmbg.capacity.judge import Judge
+from nmbg.capacity.judge import Judge, Score
 from nmbg.model.config import ModelConfig
 from nmbg.model.cover import SourceCover, greedy_cover
+from nmbg.model.photographs import NOTHING
 from nmbg.model.renderer import Renderer
 from nmbg.progress import progress_bar
 from nmbg.scene import Scene, View, evenly
 from nmbg.sight import look
 from nmbg.training.start import mean_colours
 
-# What leaving out photographs may cost the views that judge, dB.
-COST = 0.01
-# So many training views judge, spread over the capture.
-JUDGES = 32
+# What leaving out photographs may cost a view; a mean over views would hide what a few of them lose.
+COST = Score(0.05, 0.001)
+# Of those that would go, and of so many that stand nearest to each, so many judge at most.
+NEAREST, JUDGES = 3, 32
 
 
 def choose_photographs(
@@ -29,8 +34,8 @@ def choose_photographs(
 
     Args:
         scene: the scene.
-        wish: how many at most; "auto": as many as predict training views, which are themselves left out, as
-            well as all do; "all".
+        wish: how many at most; "auto": as many as predict each training view, itself left out, as well as all
+            do; "all".
         model: that blends them.
 
     Returns:
@@ -60,23 +65,35 @@ def _by_worth(scene: Scene, per_point: int) -> list[View]:
 
 
 def _enough(scene: Scene, order: list[View], model: ModelConfig) -> int:
-    """The least number of the first photographs that costs the judges no more than COST."""
+    """The least number of the first photographs without whose rest no judging view loses more than COST.
+
+    Those that would go judge, and those nearest to them: each is predicted without its own photograph, as
+    held-out views are, and what it loses is what was shown by photographs that would go.
+    """
     renderer = Renderer(replace(model, degree=0, widths=(), supersample=1), [scene.mesh])
     renderer.set_colours(mean_colours(renderer.layers))
     renderer.remember(scene, scene.train)
-    judge = Judge(scene, evenly(scene.train, JUDGES))
+    centres = np.stack([view.camera.centre for view in order])
 
-    def psnr(count: int) -> float:
-        dropped = {view.name for view in scene.train} - {view.name for view in order[:count]}
-        return judge.psnr(lambda view: renderer.render(view.camera, without=dropped | {view.name}))
+    def score(view: View, without: Set[str] = NOTHING) -> Score:
+        return Judge(scene, [view]).score(lambda v: renderer.render(v.camera, without=without | {v.name}))
 
-    # Fewer photographs show less: the number is found by halving.
-    too_few, enough = 0, len(order)
-    wanted = psnr(enough) - COST
+    of_all = cache(score)
+
+    def suffice(count: int) -> bool:
+        near = cdist(centres[count:], centres).argsort(1)[:, : 1 + NEAREST]
+        judges = evenly([order[i] for i in np.unique(near)], JUDGES)
+        rest = {view.name for view in order[count:]}
+        return all(score(view, rest).within(of_all(view), COST) for view in judges)
+
+    # Fewer photographs show less: steps from all of them double until too few are left, then halve.
+    too_few, enough, step = 0, len(order), 1
     with progress_bar() as bar:
-        task = bar.add_task("photographs needed", total=enough.bit_length())
+        bar.add_task("photographs needed", total=None)
         while enough - too_few > 1:
-            middle = (too_few + enough) // 2
-            too_few, enough = (too_few, middle) if psnr(middle) >= wanted else (middle, enough)
-            bar.advance(task)
+            count = max(too_few + 1, enough - step)
+            if suffice(count):
+                enough, step = count, 2 * step
+            else:
+                too_few, step = count, max(1, (enough - count) // 2)
     return enough

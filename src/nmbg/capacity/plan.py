@@ -14,7 +14,7 @@ from nmbg.capacity.choices import Choice, megabytes
 from nmbg.capacity.harmonics import STEPS, degrees_for, floats
 from nmbg.capacity.judge import JUDGES, LIMIT, SOURCES_LIMIT, Judge, Score
 from nmbg.capacity.network import race
-from nmbg.capacity.photographs import choose_photographs
+from nmbg.capacity.photographs import COST, choose_photographs
 from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, SUFFIX, Storage, store, stored_bytes
 from nmbg.capacity.thinning import OPENED, THINNING_LIMIT, halved, opened
 from nmbg.capacity.vertices import drop_unseen
@@ -79,11 +79,7 @@ class _Sizing:
     def plan(self) -> Plan:
         """Decide everything."""
         self._vertices()
-        photos = "auto" if self.config.photos == "all" else self.config.photos
-        kept = choose_photographs(self.scene, photos, self.config.model)
-        n = len(self.scene.train)
-        left = "the views that judge need them all" if len(kept) == n else "the rest shows nothing new"
-        self._chose(f"photographs: {len(kept)} of {n}", f"{n - len(kept)} files", "0.01 dB at most", left)
+        kept = self._photographs()
         score = self._thinning(kept, self._sources(kept))
         storage = self._storage(kept)
         self._samples(kept, score)
@@ -114,6 +110,17 @@ class _Sizing:
         self._chose(
             "layers: 1", "the second one", "nothing", f"photographs are blended over one layer; {kept}"
         )
+
+    def _photographs(self) -> tuple[View, ...]:
+        wish = "auto" if self.config.photos == "all" else self.config.photos
+        kept, n = choose_photographs(self.scene, wish, self.config.model), len(self.scene.train)
+        costs = "nothing"
+        if len(kept) < n:
+            costs = f"{COST.psnr:g} dB, {COST.ssim:g} SSIM of a view at most" if wish == "auto" else "unknown"
+        why = "a view beside the next one needs it" if len(kept) > 1 else "one is the least there is"
+        why = why if wish == "auto" else "wished for"
+        self._chose(f"photographs: {len(kept)} of {n}", f"{n - len(kept)} files", costs, why)
+        return kept
 
     def _sources(self, kept: tuple[View, ...]) -> Score:
         """The fewest photographs blended in a pixel that cost no more than the limit; what they score."""
