@@ -44,7 +44,7 @@ def load_packed(path: Path) -> Mesh:
             places = np.cumsum(_whole(stored["vertices"]), axis=0, dtype=np.int32)
             vertices = (places * float(stored["step"])).astype(np.float32)
             faces = _from_differences(_whole(stored["faces"]))
-            colours = np.cumsum(stored["colours"].T, axis=0, dtype=np.uint8)
+            colours = np.cumsum(np.ascontiguousarray(stored["colours"].T), axis=0, dtype=np.uint8)
         if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
             raise ValueError("faces name vertices that do not exist")
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
@@ -70,6 +70,7 @@ def _planes(values: npt.NDArray[np.int32]) -> npt.NDArray[np.uint8]:
 
 
 def _whole(planes: npt.NDArray[Any]) -> npt.NDArray[np.int32]:
-    folded = np.ascontiguousarray(planes.transpose(0, 2, 1)).view("<u4")[..., 0].T
+    columns = np.ascontiguousarray(planes.transpose(0, 2, 1)).view("<u4")[..., 0]
+    folded = np.ascontiguousarray(columns.T)  # row by row, as kernels read: else each frame would copy it
     whole: npt.NDArray[np.int32] = (folded >> 1).astype(np.int32) ^ -(folded & 1).astype(np.int32)
     return whole
