@@ -32,7 +32,8 @@ def test_faces_and_colours_come_back_and_vertices_to_half_a_step(
     assert np.array_equal(loaded.colours, mesh.colours)
     assert np.abs(loaded.vertices - mesh.vertices).max() <= 0.005 * (1 + 1e-3)
     # As kernels read them: otherwise every frame copies them first.
-    assert loaded.vertices.flags.c_contiguous and loaded.faces.flags.c_contiguous
+    assert loaded.vertices.flags.c_contiguous
+    assert loaded.faces.flags.c_contiguous
 
 
 def test_an_empty_mesh(tmp_path: Path) -> None:
