@@ -31,7 +31,7 @@ from nmbg.training.checkpoint import load_run
 
 SHOWN = ("mesh", "photos", "npbg", "paper", "nmbg")
 SEEDS = 3
-GROUPS = ("views", "geometry", "cameras", "photographs", "model", "rendering", "seeds")
+GROUPS = ("views", "geometry", "cameras", "photographs", "mending", "model", "rendering", "seeds")
 
 
 @click.command()
@@ -140,8 +140,8 @@ def job_for(scene: Path, preset: str, stress: Stress, severity: float, times: fl
     if severity == stress.severities[0] or not stress.trains:
         return Job(scene, config)
     if stress.config is not None:
-        return Job(scene, stress.config(config, severity))
-    return Job(scene, config, stressed=Stressed(stress, severity))
+        config = stress.config(config, severity)
+    return Job(scene, config, stressed=Stressed(stress, severity) if stress.changes else None)
 
 
 if __name__ == "__main__":

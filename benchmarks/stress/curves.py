@@ -125,21 +125,23 @@ def _places(points: Sequence[dict[str, Any]], ticks: list[float]) -> list[tuple[
 
 
 def pictures(results: dict[str, Any], scene: Scene, output: Path) -> None:
-    """A sheet for each stress: each preset without it, and at the first severity that costs 3 dB."""
+    """A sheet for each stress: each preset without it, and at the first severity that costs 3 dB.
+
+    Presets whose pictures are not there are left out.
+    """
     middle = scene.load_image(scene.test[len(scene.test) // 2])
     for name, curve in results["curves"].items():
         rows = []
         for preset, points in curve.items():
             worst = broken(points)
-            panels = [
-                read_image(output / points[0]["picture"]),
-                read_image(output / worst["picture"]),
-                middle,
-            ]
+            shots = [output / point["picture"] for point in (points[0], worst)]
+            if not all(shot.exists() for shot in shots):
+                continue
+            panels = [*map(read_image, shots), middle]
             shown = "–" if worst["psnr"] is None else f"{worst['psnr']:.2f} dB"
             rows.append(Row(f"{preset}: {worst['severity']:g}, {shown}", tuple(_fitted(panels))))
         if rows:
-            path = output / "sheets" / f"{results['scene']}-{name.replace(' ', '-')}.png"
+            path = output / "sheets" / f"{results['scene']}-{name.replace(',', '').replace(' ', '-')}.png"
             with atomic_file(path) as temporary:
                 write_image(temporary, sheet(rows, ("without", UNITS[name], "photograph")))
 

@@ -43,6 +43,7 @@ class Stress:
         presets: that it means something for; None for all.
         judged: scene, severity → names of the held-out views that are judged; none where the stress means
             nothing for the scene.
+        mends: name of the stress whose damage is mended here; it is then the same damage.
     """
 
     name: str
@@ -55,11 +56,17 @@ class Stress:
     config: Callable[[TrainConfig, float], TrainConfig] | None = None
     presets: tuple[str, ...] | None = None
     judged: Callable[[Scene, float], tuple[str, ...]] = every_view
+    mends: str | None = None
+
+    @property
+    def changes(self) -> bool:
+        """Whether the scene is another one."""
+        return self.scene is not unchanged or self.image is not None
 
     @property
     def trains(self) -> bool:
         """Whether training is another one; else only other views are judged."""
-        return self.scene is not unchanged or self.image is not None or self.config is not None
+        return self.changes or self.config is not None
 
 
 @dataclass(frozen=True)
@@ -79,11 +86,13 @@ class Stressed:
     @property
     def key(self) -> str:
         """What it is kept under, beside the scene's name."""
-        return f"{self.stress.name.replace(' ', '-')}-{self.severity:g}-{self.seed}"
+        name = self.stress.name.replace(",", "").replace(" ", "-")
+        return f"{name}-{self.severity:g}-{self.seed}"
 
     def random(self) -> Random:
         """The same numbers for every severity."""
-        return np.random.default_rng([self.seed, zlib.crc32(self.stress.name.encode())])
+        name = self.stress.mends or self.stress.name
+        return np.random.default_rng([self.seed, zlib.crc32(name.encode())])
 
     def apply(self, scene: Scene) -> Scene:
         """The scene, worse; its photographs are still the same."""

@@ -40,9 +40,7 @@ def test_nothing_changes_at_the_first_severity(scene, name):
     assert all(np.array_equal(none.photograph(scene, v), scene.load_image(v)) for v in scene.views)
 
 
-@pytest.mark.parametrize(
-    "name", [name for name, stress in STRESSES.items() if stress.trains and stress.config is None]
-)
+@pytest.mark.parametrize("name", [name for name, stress in STRESSES.items() if stress.changes])
 def test_every_severity_changes_training_and_leaves_held_out_views_alone(scene, name):
     stress, worst = STRESSES[name], STRESSES[name].severities[-1]
     for severity in stress.severities[1:]:
@@ -151,6 +149,24 @@ def test_cameras_are_off_by_what_is_said(scene):
         np.testing.assert_array_equal(a.K[:, 2], b.K[:, 2])
     for a, b in pairs("principal point", 0.02):
         assert b.K[0, 2] - a.K[0, 2] == pytest.approx(0.02 * a.width)
+
+
+def test_what_is_mended_is_the_same_damage(scene):
+    for name, stress in STRESSES.items():
+        if stress.mends is None:
+            continue
+        severity = stress.severities[-2]
+        damaged = Stressed(STRESSES[stress.mends], severity).apply(scene)
+        job = job_for(scene.folder, "photos", stress, severity)
+        assert job.stressed is not None
+        mended = job.stressed.apply(scene)
+        surface, _ = parts(damaged)
+        assert np.array_equal(mended.mesh.vertices[: len(surface.vertices)], surface.vertices), name
+        for view, other in zip(damaged.views, mended.views, strict=True):
+            np.testing.assert_array_equal(view.camera.projection, other.camera.projection)
+        refined = "refine" in name
+        assert (job.config.refine == "poses") == refined
+        assert (len(parts(mended)[0].faces) > len(surface.faces)) != refined, name
 
 
 def test_a_stressed_scene_is_written_and_read_back(scene, tmp_path):

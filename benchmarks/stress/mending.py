@@ -1,0 +1,67 @@
+"""The same damage, mended as users can: holes closed as in preprocessing, poses refined before training."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from nmbg.mesh import merge
+from nmbg.preprocess import SIGHT_SIZE
+from nmbg.reconstruct.background import make_background
+from nmbg.reconstruct.coverage import mask_at
+from nmbg.reconstruct.gallery import Gallery
+from nmbg.scene import Scene
+from nmbg.sight import look
+from nmbg.training.config import TrainConfig
+from stress.cameras import CAMERAS
+from stress.geometry import GEOMETRY, parts
+from stress.scenes import Random, Stress
+
+# Whose photographs tell where the surface is; the other presets show what geometry they are given.
+PRESETS = ("photos", "nmbg")
+
+
+def closed(scene: Scene) -> Scene:
+    """The scene's surface with patches over its holes and a new shell, made from the training views.
+
+    A surface that none of them sees is left as it is: preprocessing would refuse it.
+    """
+    surface, _ = parts(scene)
+    sights = [look(surface, view.camera.within(SIGHT_SIZE)) for view in scene.train]
+    if not any(sight.covered.any() for sight in sights):
+        return scene
+    masks = [
+        mask_at(scene.load_mask(view), sight.camera) for view, sight in zip(scene.train, sights, strict=True)
+    ]
+    gallery = Gallery.hang(sights, map(scene.load_image, scene.train), masks)
+    background = make_background("closed", gallery)
+    return replace(
+        scene,
+        mesh=merge(surface, background.whole),
+        shell_vertices=len(background.shell.vertices),
+        shell_faces=len(background.shell.faces),
+    )
+
+
+def _then_closed(damage: Callable[[Scene, float, Random], Scene]) -> Callable[[Scene, float, Random], Scene]:
+    def mended(scene: Scene, severity: float, random: Random) -> Scene:
+        return closed(damage(scene, severity, random)) if severity else scene
+
+    return mended
+
+
+def with_refined_poses(config: TrainConfig, severity: float) -> TrainConfig:
+    """Training that moves its cameras first."""
+    return replace(config, refine="poses")
+
+
+def _mended(name: str) -> Stress:
+    """A stress with what mends it."""
+    stress = next(stress for stress in (*GEOMETRY, *CAMERAS) if stress.name == name)
+    mended = replace(stress, group="mending", presets=PRESETS, mends=name)
+    if stress in GEOMETRY:
+        return replace(mended, name=f"{name}, closed", scene=_then_closed(stress.scene))
+    return replace(mended, name=f"{name}, refined", config=with_refined_poses)
+
+
+MENDING = tuple(map(_mended, ("vertices dropped", "regions cut", "rotation", "position")))
