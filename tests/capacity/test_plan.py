@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from nmbg.cameras import Camera
 from nmbg.capacity.cost import multiply_adds, network_multiply_adds
 from nmbg.capacity.export import export_compact
-from nmbg.capacity.judge import Score
+from nmbg.capacity.judge import Limit, Score
 from nmbg.capacity.network import Racer, _part, _ranked, candidates
 from nmbg.capacity.plan import plan
 from nmbg.capacity.storage import STORAGES, stored_bytes
@@ -92,9 +92,9 @@ def test_frames_are_timed_in_the_precision_in_which_they_will_be_rendered(
         timed.clear()
 
 
-@pytest.mark.parametrize(("limit", "fewest"), [(Score(99, 1), 1), (Score(-99, -1), 5)])
+@pytest.mark.parametrize(("limit", "fewest"), [(Limit(99, 1), 1), (Limit(-99, -1), 5)])
 def test_as_few_photographs_are_blended_in_a_pixel_as_the_limit_allows(
-    scene_folder: Path, monkeypatch: pytest.MonkeyPatch, limit: Score, fewest: int
+    scene_folder: Path, monkeypatch: pytest.MonkeyPatch, limit: Limit, fewest: int
 ) -> None:
     monkeypatch.setattr("nmbg.capacity.plan.SOURCES_LIMIT", limit)
     config = replace(AUTO, model=replace(AUTO.model, widths=()))

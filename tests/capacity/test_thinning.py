@@ -7,7 +7,7 @@ import torch
 import trimesh
 from scipy.spatial import cKDTree
 
-from nmbg.capacity.judge import Score
+from nmbg.capacity.judge import Limit
 from nmbg.capacity.plan import plan
 from nmbg.capacity.thinning import OPENED, covered, halved, opened
 from nmbg.mesh import Mesh, drop_unused, merge
@@ -88,7 +88,7 @@ def test_halving_stops_where_it_opens_a_hole(scene_folder: Path, monkeypatch: py
     assert opened(scene, halved(scene), scene.train) <= OPENED
     assert opened(scene, without_window(scene), scene.train) > 0.01
     monkeypatch.setattr("nmbg.capacity.plan.halved", without_window)
-    monkeypatch.setattr("nmbg.capacity.plan.THINNING_LIMIT", Score(100.0, 1.0))
+    monkeypatch.setattr("nmbg.capacity.plan.THINNING_LIMIT", Limit(100.0, 100.0))
     planned = plan(scene, PHOTOS)
     (told,) = (choice for choice in planned.config.choices if choice.choice.startswith("faces:"))
     assert "opens" in told.reason

@@ -13,8 +13,22 @@ from nmbg.evaluation.metrics import ssim
 from nmbg.images import from_bytes
 from nmbg.scene import Scene, View
 
+# Less of SSIM is no difference, where nothing is lacking.
+ROUNDING = 1e-4
 # So many views judge.
 JUDGES = 12
+
+
+class Limit(NamedTuple):
+    """What a choice may cost.
+
+    Args:
+        psnr: dB.
+        ssim: share of what SSIM lacks to 1: as decibels, it weighs alike in easy and hard scenes.
+    """
+
+    psnr: float
+    ssim: float
 
 
 class Score(NamedTuple):
@@ -32,15 +46,16 @@ class Score(NamedTuple):
         """What is lost against another score, in words."""
         return f"{best.psnr - self.psnr:.3f} dB, {best.ssim - self.ssim:.4f} SSIM"
 
-    def within(self, best: Score, limit: Score) -> bool:
+    def within(self, best: Score, limit: Limit) -> bool:
         """Whether no more than `limit` is lost against another score."""
-        return best.psnr - self.psnr <= limit.psnr and best.ssim - self.ssim <= limit.ssim
+        lost = best.ssim - self.ssim
+        return best.psnr - self.psnr <= limit.psnr and lost <= limit.ssim * (1 - best.ssim) + ROUNDING
 
 
 # What a single choice may cost: all limits together are 0.17 dB.
-LIMIT = Score(0.02, 0.0005)
+LIMIT = Limit(0.02, 0.005)
 # Fewer photographs in a pixel blur less: what SSIM loses by that, LPIPS gains.
-SOURCES_LIMIT = Score(0.03, 0.001)
+SOURCES_LIMIT = Limit(0.03, 0.01)
 
 
 class Judge:

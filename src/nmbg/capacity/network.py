@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from nmbg.capacity.choices import Choice
 from nmbg.capacity.cost import network_multiply_adds, seconds_per_frame
-from nmbg.capacity.judge import Judge, Score
+from nmbg.capacity.judge import Judge, Limit, Score
 from nmbg.losses import l1
 from nmbg.model.photographs import Gathered
 from nmbg.model.renderer import Renderer
@@ -28,7 +28,7 @@ SHARE, PASSES = 0.2, 40
 # Training views that they run on, and views that judge them.
 RUNNERS, JUDGES = 24, 8
 # What none may cost beside the best network, and what a smaller one may.
-NONE_LIMIT, SMALL_LIMIT = Score(0.02, 0.001), Score(0.05, 0.001)
+NONE_LIMIT, SMALL_LIMIT = Limit(0.02, 0.01), Limit(0.05, 0.01)
 # One hidden layer of so many channels, an eighth and a fifth of the full size's work, races against it.
 SMALL = (8, 12)
 

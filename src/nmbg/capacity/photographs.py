@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from scipy.spatial.distance import cdist
 
-from nmbg.capacity.judge import Judge, Score
+from nmbg.capacity.judge import Judge, Limit, Score
 from nmbg.model.config import ModelConfig
 from nmbg.model.cover import SourceCover, greedy_cover
 from nmbg.model.photographs import NOTHING
@@ -22,7 +22,7 @@ from nmbg.sight import look
 from nmbg.training.start import mean_colours
 
 # What leaving out photographs may cost a view; a mean over views would hide what a few of them lose.
-COST = Score(0.05, 0.001)
+COST = Limit(0.05, 0.01)
 # Of those that would go, and of so many that stand nearest to each, so many judge at most.
 NEAREST, JUDGES = 3, 32
 

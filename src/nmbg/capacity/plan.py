@@ -116,7 +116,7 @@ class _Sizing:
         kept, n = choose_photographs(self.scene, wish, self.config.model), len(self.scene.train)
         costs = "nothing"
         if len(kept) < n:
-            costs = f"{COST.psnr:g} dB, {COST.ssim:g} SSIM of a view at most" if wish == "auto" else "unknown"
+            costs = f"{COST.psnr:g} dB of a view at most" if wish == "auto" else "unknown"
         why = "a view beside the next one needs it" if len(kept) > 1 else "one is the least there is"
         why = why if wish == "auto" else "wished for"
         self._chose(f"photographs: {len(kept)} of {n}", f"{n - len(kept)} files", costs, why)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from nmbg.capacity.judge import Score
+from nmbg.capacity.judge import Limit
 from nmbg.images import resize, write_image
 from nmbg.scene import Scene, View
 
@@ -34,11 +34,11 @@ SUFFIX = ".jxl"
 # Least first; the quality falls before the resolution does, as it costs less a byte.
 STORAGES = (
     *(Storage(quality, halvings) for halvings in (2, 1) for quality in (75, 90)),
-    *(Storage(quality) for quality in (75, 85, 90, 95, 97, 98, 100)),
+    *(Storage(quality) for quality in (75, 85, 90, 95, 97, 98, 99, 100)),
     Storage(),
 )
 # What the least storage may cost.
-STORAGE_LIMIT = Score(0.03, 0.0008)
+STORAGE_LIMIT = Limit(0.03, 0.013)
 
 
 def store(scene: Scene, views: Sequence[View], folder: Path, storage: Storage) -> tuple[View, ...]:

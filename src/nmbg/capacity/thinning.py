@@ -11,13 +11,13 @@ import torch.nn.functional as F
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from nmbg.capacity.judge import Score
+from nmbg.capacity.judge import Limit
 from nmbg.mesh import Mesh, in_morton_order, merge
 from nmbg.scene import Scene, View
 from nmbg.sight import look
 
 # What a halving may cost.
-THINNING_LIMIT = Score(0.01, 0.0003)
+THINNING_LIMIT = Limit(0.01, 0.003)
 # Share of a view's pixels that may lose the surface, but for those so near to its outlines.
 OPENED, OUTLINE = 0.0005, 2
 
