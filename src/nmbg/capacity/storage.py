@@ -38,7 +38,7 @@ STORAGES = (
     Storage(),
 )
 # What the least storage may cost.
-STORAGE_LIMIT = Limit(0.03, 0.013)
+STORAGE_LIMIT = Limit(0.03, 0.015)
 
 
 def store(scene: Scene, views: Sequence[View], folder: Path, storage: Storage) -> tuple[View, ...]:
