@@ -11,7 +11,7 @@ from nmbg.cameras import Camera
 from nmbg.capacity.cost import multiply_adds, network_multiply_adds
 from nmbg.capacity.export import export_compact
 from nmbg.capacity.judge import Limit, Score
-from nmbg.capacity.network import Racer, _part, _ranked, candidates
+from nmbg.capacity.network import Racer, _best_smaller, _part, _ranked, candidates
 from nmbg.capacity.plan import plan
 from nmbg.capacity.storage import STORAGES, stored_bytes
 from nmbg.cli import main
@@ -152,6 +152,15 @@ def test_the_smallest_network_that_is_as_good_stands_behind_the_best() -> None:
     assert _ranked([racer(1, 29.9), full]) == [full]
     assert _ranked([racer(1, 29.97, 0.898), full]) == [full]
     assert _ranked([racer(1, 30.1), full]) == [racer(1, 30.1)]  # a larger one that is worse is nothing
+
+
+def test_a_smaller_network_runs_on_even_where_the_first_round_is_against_it() -> None:
+    def racer(work: int, psnr: float) -> Racer:
+        return Racer(cast("Renderer", None), work, Score(psnr, 0.9))
+
+    best, middle, least = racer(8, 30.0), racer(2, 29.5), racer(1, 29.4)
+    assert _best_smaller([least, best, middle], best) == [middle, least]
+    assert _best_smaller([least, best, middle], least) == []
 
 
 def test_races_take_their_share_of_any_budget() -> None:

@@ -111,7 +111,8 @@ def race(
                     racer.score = shown(racer.show)
             best, *small = _ranked(left)
             if number + 1 < rounds:
-                left = [best, *small[:1]]
+                # One round is too short to be sure that none of the smaller ones is as good.
+                left = [best, *(small or _best_smaller(left, best))[:1]]
     chosen = small[0] if small else best
     most = max(racer.work for racer in racers)
     gained = best.score.psnr - none.psnr, best.score.ssim - none.ssim
@@ -130,6 +131,12 @@ def _ranked(racers: list[Racer]) -> list[Racer]:
     best = max(racers, key=lambda racer: racer.score.psnr)
     small = [r for r in racers if r.work < best.work and r.score.within(best.score, SMALL_LIMIT)]
     return [best, *sorted(small, key=lambda racer: racer.work)]
+
+
+def _best_smaller(racers: list[Racer], best: Racer) -> list[Racer]:
+    """Those of less work, the best first."""
+    smaller = [racer for racer in racers if racer.work < best.work]
+    return sorted(smaller, key=lambda racer: -racer.score.psnr)
 
 
 def candidates(full: tuple[int, ...]) -> list[tuple[int, ...]]:
