@@ -64,4 +64,5 @@ def _mended(name: str) -> Stress:
     return replace(mended, name=f"{name}, refined", config=with_refined_poses)
 
 
-MENDING = tuple(map(_mended, ("vertices dropped", "regions cut", "rotation", "position")))
+MENDED = ("vertices dropped", "regions cut", "rotation", "position", "focal length", "principal point")
+MENDING = tuple(map(_mended, MENDED))
