@@ -66,6 +66,9 @@ def write_image(path: Path, image: npt.NDArray[np.uint8], quality: int | None = 
     spec.attribute("png:compressionLevel", 3)
     if quality is not None:
         spec.attribute("Compression", f"jpegxl:{quality}")
+        # Beside the default of 7: a fifth to a tenth of the time, and at high qualities nearer to the image in
+        # fewer bytes; lossless takes 4 % more.
+        spec.attribute("jpegxl:effort", 3)
     out = oiio.ImageOutput.create(str(path))
     if out is None:
         raise NmbgError(f"{path}: unknown image format ({_one_line(oiio.geterror())}); use .png or .jpg")

@@ -17,7 +17,7 @@ def test_plain_colours_need_no_directions(scene_folder: Path, monkeypatch: pytes
     monkeypatch.setattr(Scene, "load_image", plain)
     scene = Scene.load(scene_folder)
     fit = ColourFit([scene.mesh], scene, scene.train, bases=9, folds=4)
-    (degrees,) = degrees_for(fit, 2.0)
+    (degrees,) = degrees_for(fit.gains(), 2.0)
     assert (degrees == 0).all()
     assert floats([degrees], 3) == 3 * len(scene.mesh.vertices)
 
@@ -31,7 +31,7 @@ def test_colours_that_follow_the_direction_need_it(
     monkeypatch.setattr(Scene, "load_image", directional)
     scene = Scene.load(scene_folder)
     fit = ColourFit([scene.mesh], scene, scene.train, bases=9, folds=len(scene.train))
-    (degrees,) = degrees_for(fit, 8.0)
+    (degrees,) = degrees_for(fit.gains(), 8.0)
     # Of the far shell, most is seen from one direction alone.
     surface = slice(len(degrees) - scene.shell_vertices)
     seen = fit.gains()[0][surface].abs().sum(1) > 0

@@ -5,21 +5,19 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from nmbg.training.start import ColourFit
-
 # Steps, of 255, by which a higher degree must predict left-out colours better; least detail first.
 STEPS = (64.0, 16.0, 8.0, 4.0, 2.0)
 
 
-def degrees_for(fit: ColourFit, step: float) -> list[Tensor]:
+def degrees_for(gains: list[Tensor], step: float) -> list[Tensor]:
     """Degree of each vertex, [N] int64 per layer: the best one that gains a step on left-out folds, or 0.
 
     Args:
-        fit: colours in two folds or more.
+        gains: [N, degrees] per layer, `ColourFit.gains()` of two folds or more.
         step: of 255: root of what a degree must take from the mean squared error of left-out colours.
     """
     chosen = []
-    for gain in fit.gains():  # [N, degrees]
+    for gain in gains:
         best = gain.max(1)
         # A degree that is as good as a higher one is enough.
         enough = (gain >= best.values[:, None] - (step / 255) ** 2 / 2).long().argmax(1)

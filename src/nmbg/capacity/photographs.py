@@ -23,6 +23,8 @@ from nmbg.training.start import mean_colours
 
 # What leaving out photographs may cost a view; a mean over views would hide what a few of them lose.
 COST = Limit(0.05, 0.01)
+# So many points of all views that should be covered, at most.
+POINTS = 20_000
 # Of those that would go, and of so many that stand nearest to each, so many judge at most.
 NEAREST, JUDGES = 3, 32
 
@@ -58,7 +60,8 @@ def _by_worth(scene: Scene, per_point: int) -> list[View]:
             small = camera.within(96)
             points = cover.points(small, look(scene.mesh, small).depth)
             scores.append(cover.scores(points, torch.from_numpy(camera.centre)).float())
-    chosen = greedy_cover(torch.cat(scores, 1), len(cameras), per_point)
+    points_of_all = torch.cat(scores, 1)
+    chosen = greedy_cover(points_of_all[:, :: 1 + points_of_all.shape[1] // POINTS], len(cameras), per_point)
     # Those that add nothing come last.
     chosen += sorted(set(range(len(cameras))) - set(chosen))
     return [scene.train[i] for i in chosen]

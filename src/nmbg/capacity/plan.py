@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from torch import Tensor, nn
+from torch import nn
 
 from nmbg.capacity.choices import Choice, megabytes
 from nmbg.capacity.harmonics import STEPS, degrees_for, floats
@@ -20,7 +19,8 @@ from nmbg.capacity.thinning import OPENED, THINNING_LIMIT, halved, opened
 from nmbg.capacity.vertices import drop_unseen
 from nmbg.errors import NmbgError
 from nmbg.images import can_write
-from nmbg.model.config import ModelConfig
+from nmbg.mesh import Mesh
+from nmbg.model.cover import SourceCover
 from nmbg.model.renderer import Renderer
 from nmbg.progress import console
 from nmbg.scene import Scene, View, evenly
@@ -75,6 +75,7 @@ class _Sizing:
         self.choices: list[Choice] = []
         # All in the first fold of the colours' fit, which is then fitted without them.
         self.judge = Judge(scene, evenly(scene.train[::FOLDS], JUDGES))
+        self._cover: tuple[Mesh, SourceCover] | None = None
 
     def plan(self) -> Plan:
         """Decide everything."""
@@ -125,10 +126,14 @@ class _Sizing:
     def _sources(self, kept: tuple[View, ...]) -> Score:
         """The fewest photographs blended in a pixel that cost no more than the limit; what they score."""
         most = fewest = self.config.model.sources
-        best = score = self.judge.score(self._predicted(self.scene, kept))
+        renderer = self._with_photographs(self.scene, kept)
+        photographs = renderer.photographs
+        assert photographs is not None
+        best = score = self._score(renderer)
         why = "one is the least there is"
         for count in range(most - 1, 0, -1):
-            found = self.judge.score(self._predicted(self.scene, kept, sources=count))
+            photographs.sources = count
+            found = self._score(renderer)
             if not found.within(best, SOURCES_LIMIT):
                 why = f"{count} cost {found.cost_beside(best)}"
                 break
@@ -147,7 +152,7 @@ class _Sizing:
             if len(fewer.mesh.faces) == len(self.scene.mesh.faces):
                 why = "no edge can go"
                 break
-            found = self.judge.score(self._predicted(fewer, kept))
+            found = self._score(self._with_photographs(fewer, kept))
             if not found.within(best, THINNING_LIMIT):
                 why = f"half of them costs {found.cost_beside(best)}"
                 break
@@ -173,8 +178,8 @@ class _Sizing:
             def stored(storage: Storage) -> tuple[Score, int]:
                 place = Path(folder) / str(STORAGES.index(storage))
                 views = store(self.scene, kept, place, storage)
-                render = self._predicted(replace(self.scene, folder=place), views)
-                return self.judge.score(render), stored_bytes(place)
+                renderer = self._with_photographs(replace(self.scene, folder=place), views)
+                return self._score(renderer), stored_bytes(place)
 
             best, full = stored(STORAGES[-1])
             chosen, score, size = STORAGES[-1], best, full
@@ -199,7 +204,7 @@ class _Sizing:
         samples = self.config.model.supersample
         if samples == 1:
             return
-        best = self.judge.score(self._predicted(self.scene, kept, supersample=samples))
+        best = self._score(self._with_photographs(self.scene, kept, samples))
         enough = one.within(best, LIMIT)
         self._chose(
             f"samples a pixel: {1 if enough else samples**2}",
@@ -216,8 +221,9 @@ class _Sizing:
         fit = fit_left_out(Renderer(replace(self.config.model, widths=()), layers), self.scene)
         best = self._fitted(kept, fit)
         full = 3 * fit.bases * len(self.scene.mesh.vertices)
+        gains = fit.gains()
         for step in STEPS:
-            fit.degrees = degrees_for(fit, step)
+            fit.degrees = degrees_for(gains, step)
             score = self._fitted(kept, fit)
             if score.within(best, LIMIT):
                 counts = [int((fit.degrees[0] == d).sum()) for d in range(self.config.model.degree + 1)]
@@ -258,18 +264,26 @@ class _Sizing:
         """Score of colours fitted without the views that judge."""
         renderer = Renderer(replace(self.config.model, widths=()), [self.scene.mesh])
         renderer.set_colours(fit.coefficients(without=0 if fit.folds > 1 else None))
-        renderer.remember(self.scene, kept)
-        return self.judge.score(lambda view: renderer.render(view.camera, without={view.name}))
+        self._remember(renderer, self.scene, kept)
+        return self._score(renderer)
 
-    def _predicted(
-        self, scene: Scene, kept: tuple[View, ...], supersample: int = 1, sources: int | None = None
-    ) -> Callable[[View], Tensor]:
-        """Views as a scene's photographs over its vertices' mean colours show them."""
-        whole = self.config.model
-        model: ModelConfig = replace(
-            whole, degree=0, widths=(), supersample=supersample, sources=sources or whole.sources
-        )
+    def _with_photographs(self, scene: Scene, kept: tuple[View, ...], supersample: int = 1) -> Renderer:
+        """A scene's photographs over its vertices' mean colours."""
+        model = replace(self.config.model, degree=0, widths=(), supersample=supersample)
         renderer = Renderer(model, [scene.mesh])
         renderer.set_colours(mean_colours(renderer.layers))
+        self._remember(renderer, scene, kept)
+        return renderer
+
+    def _remember(self, renderer: Renderer, scene: Scene, kept: tuple[View, ...]) -> None:
+        """Renderer.remember(), but which photographs a view needs hangs on the mesh alone."""
         renderer.remember(scene, kept)
-        return lambda view: renderer.render(view.camera, without={view.name})
+        photographs = renderer.photographs
+        assert photographs is not None
+        if self._cover is None or self._cover[0] is not scene.mesh:
+            self._cover = scene.mesh, photographs.cover
+        photographs.cover = self._cover[1]
+
+    def _score(self, renderer: Renderer) -> Score:
+        """How well a renderer predicts the judging views without their own photographs."""
+        return self.judge.score(lambda view: renderer.render(view.camera, without={view.name}))
