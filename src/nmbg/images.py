@@ -66,7 +66,7 @@ def write_image(path: Path, image: npt.NDArray[np.uint8], quality: int | None = 
     spec.attribute("png:compressionLevel", 3)
     if quality is not None:
         spec.attribute("Compression", f"jpegxl:{quality}")
-        # Beside the default of 7: a fifth to a tenth of the time, and at high qualities nearer to the image in
+        # Beside the default of 7: a fifth to a tenth of the time; at high qualities nearer to the image, in
         # fewer bytes; lossless takes 4 % more.
         spec.attribute("jpegxl:effort", 3)
     out = oiio.ImageOutput.create(str(path))
