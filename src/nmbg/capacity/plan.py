@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 from torch import nn
@@ -14,7 +15,7 @@ from nmbg.capacity.harmonics import STEPS, degrees_for, floats
 from nmbg.capacity.judge import JUDGES, LIMIT, SOURCES_LIMIT, Judge, Score
 from nmbg.capacity.network import race
 from nmbg.capacity.photographs import COST, choose_photographs
-from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, SUFFIX, Storage, store, stored_bytes
+from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, SUFFIX, USUAL, Storage, store, stored_bytes
 from nmbg.capacity.thinning import OPENED, THINNING_LIMIT, halved, opened
 from nmbg.capacity.vertices import drop_unseen
 from nmbg.errors import NmbgError
@@ -175,29 +176,38 @@ class _Sizing:
             return STORAGES[-1]
         with tempfile.TemporaryDirectory() as folder:
 
-            def stored(storage: Storage) -> tuple[Score, int]:
-                place = Path(folder) / str(STORAGES.index(storage))
-                views = store(self.scene, kept, place, storage)
+            @cache
+            def stored(i: int) -> tuple[Score, int]:
+                place = Path(folder) / str(i)
+                views = store(self.scene, kept, place, STORAGES[i])
                 renderer = self._with_photographs(replace(self.scene, folder=place), views)
                 return self._score(renderer), stored_bytes(place)
 
-            best, full = stored(STORAGES[-1])
-            chosen, score, size = STORAGES[-1], best, full
+            last = len(STORAGES) - 1
+            best, full = stored(last)
             limit = 1e6 * (self.config.megabytes or math.inf)
-            why = "the least there is"
-            # From the best down: quality falls, then the resolution.
-            for storage in reversed(STORAGES[:-1]):
-                s, n = stored(storage)
-                if size <= limit and not s.within(best, STORAGE_LIMIT):
-                    why = f"{storage} costs {s.cost_beside(best)}"
-                    break
-                if n < size:
-                    chosen, score, size = storage, s, n
-            if not score.within(best, STORAGE_LIMIT):
+
+            def fits(i: int) -> bool:
+                return stored(i)[0].within(best, STORAGE_LIMIT)
+
+            # From what most captures need, up until it is enough, then down: quality falls, then resolution.
+            i = USUAL
+            while not fits(i):
+                i += 1
+            while i > 0 and (stored(i)[1] > limit or fits(i - 1)):
+                i -= 1
+            if stored(i)[1] >= full:
+                i = last
+            score, size = stored(i)
+            if not fits(i):
                 why = f"wished for at most {megabytes(limit)}"
+            elif i > 0:
+                why = f"{STORAGES[i - 1]} costs {stored(i - 1)[0].cost_beside(best)}"
+            else:
+                why = "the least there is"
         saved = f"{megabytes(full - size)} of {megabytes(full)}"
-        self._chose(f"photographs: {chosen}", saved, score.cost_beside(best), why)
-        return chosen
+        self._chose(f"photographs: {STORAGES[i]}", saved, score.cost_beside(best), why)
+        return STORAGES[i]
 
     def _samples(self, kept: tuple[View, ...], one: Score) -> None:
         """One sample a pixel, which scores `one`, where more show nothing."""

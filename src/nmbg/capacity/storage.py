@@ -37,6 +37,8 @@ STORAGES = (
     *(Storage(quality) for quality in (75, 85, 90, 95, 97, 98, 99, 100)),
     Storage(),
 )
+# Where the search for the least that is enough begins.
+USUAL = STORAGES.index(Storage(97))
 # What the least storage may cost.
 STORAGE_LIMIT = Limit(0.03, 0.015)
 
