@@ -20,7 +20,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 
 import click
 from options import output_option, scenes_argument, weights_option
-from record import cell, command, provenance, write
+from record import cell, command, commit, provenance, write
 from sweep import METRICS, Job, Sweep, trained_for
 from timing import alternate
 
@@ -64,7 +64,8 @@ def main(
             runs = [sweep.folder(job) for job in jobs]
             small = output / "work" / f"{runs[1].name}-compact"
             runs[1] = export_compact(runs[1], small, overwrite=True)
-            rows.append({"scene": scene.name, "seed": seed, **_compare(scene, runs, repeats, weights)})
+            row = {"scene": scene.name, "seed": seed, "commit": commit()}
+            rows.append({**row, **_compare(scene, runs, repeats, weights)})
             results = {"command": command(), "budget": budget, **provenance(), "rows": rows}
             write(output, "capacity", results, _table(results))
     click.echo(_table(results))
