@@ -195,3 +195,22 @@ def test_a_network_cannot_show_what_no_photograph_shows(scene: Scene) -> None:
     high = torch.where(used, shown, -torch.inf).amax(0).clamp(min=0)
     low = torch.where(used, shown, torch.inf).amin(0).clamp(max=0)
     assert ((residual <= high + 1e-3) & (residual >= low - 1e-3)).all()
+
+
+def test_prepared_photographs_are_not_read_again(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    ready, small = (
+        Photographs(scene, scene.train, grey_mesh(scene), sources=3, cache_gib=gib) for gib in (4.0, 1e-4)
+    )
+    expected = gather(ready, scene.test[0].camera).blended()
+    ready.prepare()
+    small.prepare()
+    assert 0 < small.nbytes <= 1e-4 * 2**30 < ready.nbytes
+
+    def unread(self: Scene, view: View) -> None:
+        raise AssertionError(f"{view.name} is read")
+
+    monkeypatch.setattr(Scene, "load_image", unread)
+    assert torch.equal(gather(ready, scene.test[0].camera).blended(), expected)
+    gather(ready, scene.test[1].camera)
+    with pytest.raises(AssertionError, match="is read"):
+        gather(small, scene.test[1].camera)

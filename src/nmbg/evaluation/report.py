@@ -113,7 +113,8 @@ def _speed(report: Report) -> str:
         kind = "As told by whoever rendered."
     else:
         kind = (
-            "A frame: rasterization included, writing files not. The scene: what rendering reads from disk."
+            "A frame: rasterization included, reading and writing files not. "
+            "The scene: what rendering reads from disk."
         )
     return html.section("Speed and size", html.table(("", ""), rows), html.note(kind))
 

@@ -23,6 +23,7 @@ from nmbg.images import from_bytes
 from nmbg.model.cover import SourceCover
 from nmbg.model.exposure import Exposure, fit_exposure, mean_exposure, neighbours
 from nmbg.ops import Blend, mip_chain
+from nmbg.progress import progress_bar
 from nmbg.scene import Scene, View
 
 # A view is blended from this many photographs at most: with twenty, one capture gained 0.04 dB.
@@ -166,6 +167,13 @@ class Photographs:
     def cover(self) -> SourceCover:
         """What decides which photographs a view is blended from."""
         return SourceCover(self.scene.mesh, [view.camera for view in self.views])
+
+    def prepare(self) -> None:
+        """Prepare photographs until the cache is full, so that no view has to wait for one."""
+        with progress_bar() as bar:
+            for i in bar.track(range(len(self.views)), description="preparing photographs"):
+                if self._held + self._source(i).nbytes > self._limit:
+                    break
 
     def recoloured(self, mesh: OnMesh) -> Photographs:
         """The same photographs over other colours of the same mesh."""
