@@ -5,7 +5,7 @@ Example:
 
 Budgets are steps, so that a curve does not depend on what else runs: about a minute each on two idle cores,
 but for mesh, which has its ten passes in seconds.
-The full form is 323 runs a scene, some 8 hours; `--quick` takes the middle severity of each stress, a quarter
+The full form is 329 runs a scene, some 8 hours; `--quick` takes the middle severity of each stress, a quarter
 of the steps, and the presets mesh and photos. Finished runs are kept; `--finished` tabulates what is there.
 """
 

@@ -1,4 +1,4 @@
-"""The same damage, mended as users can: holes closed as in preprocessing, poses refined before training."""
+"""The same damage, mended as users can: holes closed in preprocessing, poses refined, the model sized."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from nmbg.training.config import TrainConfig
 from stress.cameras import CAMERAS
 from stress.geometry import GEOMETRY, parts
 from stress.scenes import Random, Stress
+from stress.views import VIEWS
 
 # Whose photographs tell where the surface is; the other presets show what geometry they are given.
 PRESETS = ("photos", "nmbg")
@@ -55,14 +56,24 @@ def with_refined_poses(config: TrainConfig, severity: float) -> TrainConfig:
     return replace(config, refine="poses")
 
 
-def _mended(name: str) -> Stress:
+def sized(config: TrainConfig, severity: float) -> TrainConfig:
+    """No network where left-out views are not better for it, and no harmonics that do not tell."""
+    return replace(config, capacity="auto")
+
+
+def _mended(stress: Stress) -> Stress:
     """A stress with what mends it."""
-    stress = next(stress for stress in (*GEOMETRY, *CAMERAS) if stress.name == name)
-    mended = replace(stress, group="mending", presets=PRESETS, mends=name)
+    mended = replace(stress, group="mending", presets=PRESETS, mends=stress.name)
     if stress in GEOMETRY:
-        return replace(mended, name=f"{name}, closed", scene=_then_closed(stress.scene))
-    return replace(mended, name=f"{name}, refined", config=with_refined_poses)
+        return replace(mended, name=f"{stress.name}, closed", scene=_then_closed(stress.scene))
+    if stress in VIEWS:
+        return replace(mended, name=f"{stress.name}, sized", config=sized, presets=("nmbg",))
+    return replace(mended, name=f"{stress.name}, refined", config=with_refined_poses)
 
 
-MENDED = ("vertices dropped", "regions cut", "rotation", "position", "focal length", "principal point")
-MENDING = tuple(map(_mended, MENDED))
+MENDED = (
+    *("fewer views", "block"),
+    *("vertices dropped", "regions cut"),
+    *("rotation", "position", "focal length", "principal point"),
+)
+MENDING = tuple(_mended(s) for s in (*VIEWS, *GEOMETRY, *CAMERAS) if s.name in MENDED)

@@ -164,9 +164,9 @@ def test_what_is_mended_is_the_same_damage(scene):
         assert np.array_equal(mended.mesh.vertices[: len(surface.vertices)], surface.vertices), name
         for view, other in zip(damaged.views, mended.views, strict=True):
             np.testing.assert_array_equal(view.camera.projection, other.camera.projection)
-        refined = "refine" in name
-        assert (job.config.refine == "poses") == refined
-        assert (len(parts(mended)[0].faces) > len(surface.faces)) != refined, name
+        assert (job.config.refine == "poses") == ("refined" in name)
+        assert (job.config.capacity == "auto") == ("sized" in name)
+        assert (len(parts(mended)[0].faces) > len(surface.faces)) == ("closed" in name), name
 
 
 def test_a_stressed_scene_is_written_and_read_back(scene, tmp_path):
