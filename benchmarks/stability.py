@@ -88,7 +88,8 @@ def main(
                     points = curve.setdefault(name, [])
                     point["loss"] = (points[0] if points else point)["psnr"] - point["psnr"]
                     points.append(point)
-        curves[stress.name] = curve
+        # Of what was not measured yet there is the first point alone, which all stresses share.
+        curves[stress.name] = {name: points for name, points in curve.items() if len(points) > 1}
     rendered: dict[str, Any] = {}
     if "rendering" in chosen:
         for name in names:

@@ -143,7 +143,7 @@ def pictures(results: dict[str, Any], scene: Scene, output: Path) -> None:
         if rows:
             path = output / "sheets" / f"{results['scene']}-{name.replace(',', '').replace(' ', '-')}.png"
             with atomic_file(path) as temporary:
-                write_image(temporary, sheet(rows, ("without", UNITS[name], "photograph")))
+                write_image(temporary, sheet(rows, ("without", UNITS[name], "photograph"), errors=False))
 
 
 def _fitted(panels: Sequence[Image]) -> list[Image]:

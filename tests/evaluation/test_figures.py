@@ -53,3 +53,10 @@ def test_scale_stands_under_the_error_maps():
     bars = (picture == colour_scale(np.array(1.0))).all(axis=-1)
     assert bars[48:78, 104:144].all()  # the error map itself, wholly at the end of the scale
     assert bars[86:110].sum() >= 24  # the bright end of the scale bar
+
+
+def test_pictures_without_error_maps_have_no_scale():
+    rows = [view_row("view", flat(0), flat(0))]
+    with_scale, without = sheet(rows), sheet(rows, errors=False)
+    assert without.shape[0] < with_scale.shape[0]
+    assert np.array_equal(with_scale[: without.shape[0]], without)

@@ -50,19 +50,21 @@ def view_row(label: str, estimate: Image, target: Image, width: int = 400) -> Ro
     return Row(label, tuple(resize(image, width, height) for image in images))
 
 
-def sheet(rows: Sequence[Row], headings: Sequence[str] = HEADINGS) -> Image:
-    """All rows below one another, with headings and the scale of the error map under the last column.
+def sheet(rows: Sequence[Row], headings: Sequence[str] = HEADINGS, errors: bool = True) -> Image:
+    """All rows below one another, with headings.
 
     Args:
         rows: at least one; the panels of a row have one size, rows may differ.
         headings: of the columns.
+        errors: the last column shows error maps; their scale comes below it.
 
     Returns:
         [H, W, 3] uint8.
     """
     column = _GAP + max(panel.shape[1] for row in rows for panel in row.panels)
     heights = [row.panels[0].shape[0] for row in rows]
-    size = (3 * _BAND + sum(heights) + len(rows) * (_BAND + _GAP), _GAP + len(headings) * column)
+    bands = len(rows) + (3 if errors else 1)
+    size = (bands * _BAND + sum(heights) + len(rows) * _GAP, _GAP + len(headings) * column)
     canvas = np.full((*size, 3), _BACKGROUND, dtype=np.uint8)
     texts = [(_GAP + i * column, 0, heading) for i, heading in enumerate(headings)]
     y = _BAND
@@ -72,10 +74,11 @@ def sheet(rows: Sequence[Row], headings: Sequence[str] = HEADINGS) -> Image:
             x = _GAP + i * column
             canvas[y + _BAND : y + _BAND + height, x : x + panel.shape[1]] = panel
         y += _BAND + height + _GAP
-    x, width = _GAP + (len(headings) - 1) * column, column - _GAP
-    canvas[y : y + _BAND, x : x + width] = colour_scale(np.linspace(0, 1, width))
-    ticks = ((0.0, "0"), (0.45, f"{ERROR_RANGE / 2:g}"), (0.82, f"{ERROR_RANGE:g}+"))
-    texts += [(x + round(share * width), y + _BAND, text) for share, text in ticks]
+    if errors:
+        x, width = _GAP + (len(headings) - 1) * column, column - _GAP
+        canvas[y : y + _BAND, x : x + width] = colour_scale(np.linspace(0, 1, width))
+        ticks = ((0.0, "0"), (0.45, f"{ERROR_RANGE / 2:g}"), (0.82, f"{ERROR_RANGE:g}+"))
+        texts += [(x + round(share * width), y + _BAND, text) for share, text in ticks]
     return _write(canvas, texts)
 
 
