@@ -27,6 +27,7 @@ class FakeRenderer:
     photos: dict[int, torch.Tensor]
     error: float = 0.1
     rendered: list[int] = field(default_factory=list)
+    photographs: None = None
 
     def render(self, camera: Camera, without: str | None = None) -> torch.Tensor:
         self.rendered.append(id(camera))
