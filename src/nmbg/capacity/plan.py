@@ -201,6 +201,8 @@ class _Sizing:
             score, size = stored(i)
             if not fits(i):
                 why = f"wished for at most {megabytes(limit)}"
+            elif i == last:
+                why = "what is good enough takes no fewer bytes"
             elif i > 0:
                 why = f"{STORAGES[i - 1]} costs {stored(i - 1)[0].cost_beside(best)}"
             else:
