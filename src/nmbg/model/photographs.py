@@ -72,30 +72,17 @@ class Gathered:
 
     def blended(self) -> Tensor:
         """Mesh and photographs without a network, [3, H, W] float32."""
-        colour = self.base.to(torch.float32, copy=True)
-        for shown, weight in zip(self.shown, self.weights, strict=True):
-            colour.addcmul_(shown.float(), weight.float())
-        return colour
+        residual = (self.shown.float() * self.weights.float()[:, None]).sum(0)
+        return self.base.float() + residual
 
-    def features(self, dtype: torch.dtype = torch.float32) -> Tensor:
-        """What a network may read, [features, H, W], each scaled to deviate by about one.
+    def features(self) -> Tensor:
+        """What a network may read, [features, H, W] float32, each scaled to deviate by about one.
 
         See `count_features`.
         """
-        parts = [
-            (self.blended() - 0.5, 4),
-            (self.base.float() - 0.5, 4),
-            (self.shown.flatten(0, 1), 16),
-            (self.weights, 4),
-            (self.trust[None], 1),
-            (self.score[None], 1),
-        ]
-        size = (sum(len(part) for part, _ in parts), *self.trust.shape)
-        features = torch.empty(size, dtype=dtype, device=self.trust.device)
-        places = torch.split(features, [len(part) for part, _ in parts])
-        for (part, scale), place in zip(parts, places, strict=True):
-            torch.mul(part, scale, out=place)
-        return features
+        colours = [4 * (self.blended() - 0.5), 4 * (self.base.float() - 0.5), 16 * self.shown.flatten(0, 1)]
+        parts = [*colours, 4 * self.weights, self.trust[None], self.score[None]]
+        return torch.cat([part.float() for part in parts])
 
 
 def count_features(sources: int) -> int:
@@ -208,14 +195,11 @@ class Photographs:
         blend = self._blend(camera, depth, without, each=True, colouring=colouring)
         trust = _trust(blend.weight)
         exposure = self.exposure(camera, without, colouring)
-        # Texels hold ½ + residual / 2. A source that is not there shows 0 and must stay 0.
-        share = ((blend.weights > 0) * trust)[:, None]
-        residuals = torch.addcmul(-share, share, blend.shown, value=2)
-        shown = torch.empty(residuals.shape, dtype=torch.float16)
-        torch.mul(residuals, exposure.gain, out=shown)
+        # A source that is not there shows 0 and must stay 0.
+        residuals = blend.shown.mul_(2).sub_(1).mul_((blend.weights > 0)[:, None] * trust)
         return Gathered(
             exposure.apply(base).half(),
-            shown,
+            (exposure.gain * residuals).half(),
             blend.weights.half(),
             trust.half(),
             blend.weight.half(),

@@ -129,11 +129,11 @@ class Renderer(nn.Module):
         """Mesh and photographs as one image; the network re-weights the photographs and adds to them."""
         assert self.network is not None
         gathered = gathered.to(self._device)
-        # In the network's precision at once: autocast would copy them a second time.
+        # In the network's precision and layout at once: on its own, autocast would copy them a second time.
         device = self._device.type
         enabled = torch.is_autocast_enabled(device)
         dtype = torch.get_autocast_dtype(device) if enabled else torch.float32
-        features = gathered.features(dtype)[None].contiguous(memory_format=torch.channels_last)
+        features = gathered.features()[None].to(dtype, memory_format=torch.channels_last)
         added, preference = self.network(features)
         weights = gathered.weights.float() * preference.exp()
         weights = weights / weights.sum(0).clamp(min=1e-6)
