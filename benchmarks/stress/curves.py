@@ -16,6 +16,7 @@ from nmbg.images import Image, read_image, resize, write_image
 from nmbg.scene import Scene
 from stress import STRESSES
 from stress.rendering import RENDERINGS
+from stress.scenes import file_name
 
 LOSS = 3.0  # dB
 WIDTH = 180  # of a picture on a sheet, pixels
@@ -141,7 +142,7 @@ def pictures(results: dict[str, Any], scene: Scene, output: Path) -> None:
             shown = "–" if worst["psnr"] is None else f"{worst['psnr']:.2f} dB"
             rows.append(Row(f"{preset}: {worst['severity']:g}, {shown}", tuple(_fitted(panels))))
         if rows:
-            path = output / "sheets" / f"{results['scene']}-{name.replace(',', '').replace(' ', '-')}.png"
+            path = output / "sheets" / f"{results['scene']}-{file_name(name)}.png"
             with atomic_file(path) as temporary:
                 write_image(temporary, sheet(rows, ("without", UNITS[name], "photograph"), errors=False))
 

@@ -22,6 +22,11 @@ def unchanged(scene: Scene, severity: float, random: Random) -> Scene:
     return scene
 
 
+def file_name(name: str) -> str:
+    """A stress's name as it stands in names of files."""
+    return name.replace(",", "").replace(" ", "-")
+
+
 def every_view(scene: Scene, severity: float) -> tuple[str, ...]:
     """Names of all held-out views."""
     return tuple(view.name for view in scene.test)
@@ -86,8 +91,7 @@ class Stressed:
     @property
     def key(self) -> str:
         """What it is kept under, beside the scene's name."""
-        name = self.stress.name.replace(",", "").replace(" ", "-")
-        return f"{name}-{self.severity:g}-{self.seed}"
+        return f"{file_name(self.stress.name)}-{self.severity:g}-{self.seed}"
 
     def random(self) -> Random:
         """The same numbers for every severity."""
