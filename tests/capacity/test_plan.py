@@ -6,13 +6,15 @@ from typing import cast
 
 import pytest
 from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
 
 from nmbg.cameras import Camera
 from nmbg.capacity.cost import multiply_adds, network_multiply_adds
 from nmbg.capacity.export import export_compact
 from nmbg.capacity.judge import Limit, Score
 from nmbg.capacity.network import Racer, _best_smaller, _part, _ranked, candidates
-from nmbg.capacity.plan import plan
+from nmbg.capacity.plan import least, plan
 from nmbg.capacity.storage import STORAGES, stored_bytes
 from nmbg.cli import main
 from nmbg.errors import NmbgError
@@ -133,6 +135,19 @@ def test_export_says_what_it_needs(run: Path, tmp_path: Path) -> None:
     assert result.exit_code == 2
     assert "--compact" in result.stderr
     assert CliRunner().invoke(main, ["export", str(run), "--compact", "--output", out]).exit_code == 0
+
+
+@given(first=st.integers(0, 13), usual=st.integers(0, 13))
+def test_the_search_from_a_usual_size_finds_the_first_that_is_enough(first: int, usual: int) -> None:
+    asked = []
+
+    def enough(i: int) -> bool:
+        asked.append(i)
+        return i >= first
+
+    assert least(enough, usual) == first
+    # Sizes far from both were never tried: each would be a look at a dozen views.
+    assert min(first, usual) - 1 <= min(asked) and max(asked) <= max(first, usual)
 
 
 def test_candidates_are_smaller_than_the_full_size() -> None:

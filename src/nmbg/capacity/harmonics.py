@@ -7,6 +7,8 @@ from torch import Tensor
 
 # Steps, of 255, by which a higher degree must predict left-out colours better; least detail first.
 STEPS = (64.0, 16.0, 8.0, 4.0, 2.0)
+# Where the search for the largest step that costs little begins.
+USUAL_STEP = STEPS.index(16.0)
 
 
 def degrees_for(gains: list[Tensor], step: float) -> list[Tensor]:

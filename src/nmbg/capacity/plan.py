@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-from torch import nn
+from torch import Tensor, nn
 
 from nmbg.capacity.choices import Choice, megabytes
-from nmbg.capacity.harmonics import STEPS, degrees_for, floats
+from nmbg.capacity.harmonics import STEPS, USUAL_STEP, degrees_for, floats
 from nmbg.capacity.judge import JUDGES, LIMIT, SOURCES_LIMIT, Judge, Score
 from nmbg.capacity.network import race
 from nmbg.capacity.photographs import COST, choose_photographs
@@ -21,6 +22,7 @@ from nmbg.capacity.vertices import drop_unseen
 from nmbg.errors import NmbgError
 from nmbg.images import can_write
 from nmbg.mesh import Mesh
+from nmbg.model.config import ModelConfig
 from nmbg.model.cover import SourceCover
 from nmbg.model.renderer import Renderer
 from nmbg.progress import console
@@ -190,11 +192,8 @@ class _Sizing:
             def fits(i: int) -> bool:
                 return stored(i)[0].within(best, STORAGE_LIMIT)
 
-            # From what most captures need, up until it is enough, then down: quality falls, then resolution.
-            i = USUAL
-            while not fits(i):
-                i += 1
-            while i > 0 and (stored(i)[1] > limit or fits(i - 1)):
+            i = least(fits, USUAL)
+            while i > 0 and stored(i)[1] > limit:
                 i -= 1
             if stored(i)[1] >= full:
                 i = last
@@ -233,33 +232,34 @@ class _Sizing:
         fit = fit_left_out(Renderer(replace(self.config.model, widths=()), layers), self.scene)
         best = self._fitted(kept, fit)
         full = 3 * fit.bases * len(self.scene.mesh.vertices)
-        gains = fit.gains()
-        for step in STEPS:
-            fit.degrees = degrees_for(gains, step)
-            score = self._fitted(kept, fit)
-            if score.within(best, LIMIT):
-                counts = [int((fit.degrees[0] == d).sum()) for d in range(self.config.model.degree + 1)]
-                shares = ", ".join(f"{n / sum(counts):.0%} of degree {d}" for d, n in enumerate(counts) if n)
-                need = floats(fit.degrees, 3)
-                self._chose(
-                    f"harmonics: {shares}",
-                    f"{full - need} of {full} floats",
-                    score.cost_beside(best),
-                    f"elsewhere directions predict left-out colours better by less than {step:g} of 255",
-                )
-                highest = max(d for d, n in enumerate(counts) if n)
-                self._model(degree=highest)
-                return fit.reduced(highest)
-        fit.degrees = None
+        gains, top = fit.gains(), self.config.model.degree
+
+        @cache
+        def stepped(i: int) -> tuple[Score, list[Tensor] | None]:
+            """What a step scores, and its degrees; after the last step, those of the full size."""
+            fit.degrees = degrees_for(gains, STEPS[i]) if i < len(STEPS) else None
+            return (best if fit.degrees is None else self._fitted(kept, fit)), fit.degrees
+
+        i = least(lambda i: stepped(i)[0].within(best, LIMIT), USUAL_STEP)
+        score, fit.degrees = stepped(i)
+        if fit.degrees is None:
+            self._chose(f"harmonics: degree {top}", "nothing", "nothing", "less costs too much")
+            return fit
+        counts = [int((fit.degrees[0] == degree).sum()) for degree in range(top + 1)]
+        shares = ", ".join(f"{n / sum(counts):.0%} of degree {d}" for d, n in enumerate(counts) if n)
         self._chose(
-            f"harmonics: degree {self.config.model.degree}", "nothing", "nothing", "less costs too much"
+            f"harmonics: {shares}",
+            f"{full - floats(fit.degrees, 3)} of {full} floats",
+            score.cost_beside(best),
+            f"elsewhere directions predict left-out colours better by less than {STEPS[i]:g} of 255",
         )
-        return fit
+        highest = max(degree for degree, n in enumerate(counts) if n)
+        self._model(degree=highest)
+        return fit.reduced(highest)
 
     def _network(self, kept: tuple[View, ...], fit: ColourFit) -> nn.Module | None:
-        renderer = Renderer(replace(self.config.model, widths=()), [self.scene.mesh])
-        renderer.set_colours(fit.coefficients())
-        renderer.remember(self.scene, kept)
+        model = replace(self.config.model, widths=())
+        renderer = self._blending(model, self.scene, kept, fit.coefficients())
         widths, network, choices = race(self.scene, self.config, renderer, fit, self.config.fps)
         for choice in choices:
             self._add(choice)
@@ -273,29 +273,41 @@ class _Sizing:
         self.config = replace(self.config, model=replace(self.config.model, **changes))  # type: ignore[arg-type]
 
     def _fitted(self, kept: tuple[View, ...], fit: ColourFit) -> Score:
-        """Score of colours fitted without the views that judge."""
-        renderer = Renderer(replace(self.config.model, widths=()), [self.scene.mesh])
-        renderer.set_colours(fit.coefficients(without=0 if fit.folds > 1 else None))
-        self._remember(renderer, self.scene, kept)
-        return self._score(renderer)
+        """Score of colours fitted without the views that judge, one sample a pixel."""
+        model = replace(self.config.model, widths=(), supersample=1)
+        colours = fit.coefficients(without=0 if fit.folds > 1 else None)
+        return self._score(self._blending(model, self.scene, kept, colours))
 
     def _with_photographs(self, scene: Scene, kept: tuple[View, ...], supersample: int = 1) -> Renderer:
         """A scene's photographs over its vertices' mean colours."""
         model = replace(self.config.model, degree=0, widths=(), supersample=supersample)
-        renderer = Renderer(model, [scene.mesh])
-        renderer.set_colours(mean_colours(renderer.layers))
-        self._remember(renderer, scene, kept)
-        return renderer
+        return self._blending(model, scene, kept, mean_colours([scene.mesh]))
 
-    def _remember(self, renderer: Renderer, scene: Scene, kept: tuple[View, ...]) -> None:
-        """Renderer.remember(), but which photographs a view needs hangs on the mesh alone."""
+    def _blending(
+        self, model: ModelConfig, scene: Scene, kept: tuple[View, ...], colours: list[Tensor]
+    ) -> Renderer:
+        """A scene's photographs over these colours."""
+        renderer = Renderer(model, [scene.mesh])
+        renderer.set_colours(colours)
         renderer.remember(scene, kept)
         photographs = renderer.photographs
         assert photographs is not None
+        # Which photographs a view needs hangs on the mesh alone.
         if self._cover is None or self._cover[0] is not scene.mesh:
             self._cover = scene.mesh, photographs.cover
         photographs.cover = self._cover[1]
+        return renderer
 
     def _score(self, renderer: Renderer) -> Score:
         """How well a renderer predicts the judging views without their own photographs."""
         return self.judge.score(lambda view: renderer.render(view.camera, without={view.name}))
+
+
+def least(enough: Callable[[int], bool], usual: int) -> int:
+    """The first of growing sizes that is enough, searched from a usual one; one of them must be."""
+    i = usual
+    while not enough(i):
+        i += 1
+    while i > 0 and enough(i - 1):
+        i -= 1
+    return i
