@@ -147,7 +147,8 @@ def test_the_search_from_a_usual_size_finds_the_first_that_is_enough(first: int,
 
     assert least(enough, usual) == first
     # Sizes far from both were never tried: each would be a look at a dozen views.
-    assert min(first, usual) - 1 <= min(asked) and max(asked) <= max(first, usual)
+    assert min(asked) >= min(first, usual) - 1
+    assert max(asked) <= max(first, usual)
 
 
 def test_candidates_are_smaller_than_the_full_size() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Set
+from collections.abc import Sequence, Set
 from dataclasses import replace
 from functools import cache
 from typing import Literal
@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 import torch
 from scipy.spatial.distance import cdist
+from torch import Tensor
 
 from nmbg.capacity.judge import Judge, Limit, Score
 from nmbg.model.config import ModelConfig
@@ -50,6 +51,14 @@ def choose_photographs(
     return tuple(view for view in scene.train if view.name in kept)
 
 
+def blending(model: ModelConfig, scene: Scene, views: Sequence[View], colours: Sequence[Tensor]) -> Renderer:
+    """Photographs of a scene blended over colours [N, B, 3] of its mesh, without a network."""
+    renderer = Renderer(replace(model, widths=()), [scene.mesh])
+    renderer.set_colours(colours)
+    renderer.remember(scene, views)
+    return renderer
+
+
 def _by_worth(scene: Scene, per_point: int) -> list[View]:
     """Training views, what adds most to the coverage of all first; what others can replace comes last."""
     cameras = [view.camera for view in scene.train]
@@ -73,13 +82,14 @@ def _enough(scene: Scene, order: list[View], model: ModelConfig) -> int:
     Those that would go judge, and those nearest to them: each is predicted without its own photograph, as
     held-out views are, and what it loses is what was shown by photographs that would go.
     """
-    renderer = Renderer(replace(model, degree=0, widths=(), supersample=1), [scene.mesh])
-    renderer.set_colours(mean_colours(renderer.layers))
-    renderer.remember(scene, scene.train)
+    coarse = replace(model, degree=0, supersample=1)
+    renderer = blending(coarse, scene, scene.train, mean_colours([scene.mesh]))
     centres = np.stack([view.camera.centre for view in order])
 
+    judge = cache(lambda view: Judge(scene, [view]))
+
     def score(view: View, without: Set[str] = NOTHING) -> Score:
-        return Judge(scene, [view]).score(lambda v: renderer.render(v.camera, without=without | {v.name}))
+        return judge(view).score(lambda v: renderer.render(v.camera, without=without | {v.name}))
 
     of_all = cache(score)
 

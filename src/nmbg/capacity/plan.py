@@ -15,7 +15,7 @@ from nmbg.capacity.choices import Choice, megabytes
 from nmbg.capacity.harmonics import STEPS, USUAL_STEP, degrees_for, floats
 from nmbg.capacity.judge import JUDGES, LIMIT, SOURCES_LIMIT, Judge, Score
 from nmbg.capacity.network import race
-from nmbg.capacity.photographs import COST, choose_photographs
+from nmbg.capacity.photographs import COST, blending, choose_photographs
 from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, SUFFIX, USUAL, Storage, store, stored_bytes
 from nmbg.capacity.thinning import OPENED, THINNING_LIMIT, halved, opened
 from nmbg.capacity.vertices import drop_unseen
@@ -258,8 +258,7 @@ class _Sizing:
         return fit.reduced(highest)
 
     def _network(self, kept: tuple[View, ...], fit: ColourFit) -> nn.Module | None:
-        model = replace(self.config.model, widths=())
-        renderer = self._blending(model, self.scene, kept, fit.coefficients())
+        renderer = self._blending(self.config.model, self.scene, kept, fit.coefficients())
         widths, network, choices = race(self.scene, self.config, renderer, fit, self.config.fps)
         for choice in choices:
             self._add(choice)
@@ -274,25 +273,22 @@ class _Sizing:
 
     def _fitted(self, kept: tuple[View, ...], fit: ColourFit) -> Score:
         """Score of colours fitted without the views that judge, one sample a pixel."""
-        model = replace(self.config.model, widths=(), supersample=1)
+        model = replace(self.config.model, supersample=1)
         colours = fit.coefficients(without=0 if fit.folds > 1 else None)
         return self._score(self._blending(model, self.scene, kept, colours))
 
     def _with_photographs(self, scene: Scene, kept: tuple[View, ...], supersample: int = 1) -> Renderer:
         """A scene's photographs over its vertices' mean colours."""
-        model = replace(self.config.model, degree=0, widths=(), supersample=supersample)
+        model = replace(self.config.model, degree=0, supersample=supersample)
         return self._blending(model, scene, kept, mean_colours([scene.mesh]))
 
     def _blending(
         self, model: ModelConfig, scene: Scene, kept: tuple[View, ...], colours: list[Tensor]
     ) -> Renderer:
-        """A scene's photographs over these colours."""
-        renderer = Renderer(model, [scene.mesh])
-        renderer.set_colours(colours)
-        renderer.remember(scene, kept)
+        """A scene's photographs over these colours; which of them a view needs hangs on the mesh alone."""
+        renderer = blending(model, scene, kept, colours)
         photographs = renderer.photographs
         assert photographs is not None
-        # Which photographs a view needs hangs on the mesh alone.
         if self._cover is None or self._cover[0] is not scene.mesh:
             self._cover = scene.mesh, photographs.cover
         photographs.cover = self._cover[1]
