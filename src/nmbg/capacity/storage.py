@@ -40,7 +40,7 @@ STORAGES = (
 # Where the search for the least that is enough begins.
 USUAL = STORAGES.index(Storage(97))
 # What the least storage may cost.
-STORAGE_LIMIT = Limit(0.03, 0.015)
+STORAGE_LIMIT = Limit(0.03, 0.016)
 
 
 def store(scene: Scene, views: Sequence[View], folder: Path, storage: Storage) -> tuple[View, ...]:
