@@ -1,8 +1,9 @@
 """A scene sized from its training views, trained, exported, and loaded again."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast
 
 import pytest
 from click.testing import CliRunner
@@ -13,7 +14,15 @@ from nmbg.cameras import Camera
 from nmbg.capacity.cost import multiply_adds, network_multiply_adds
 from nmbg.capacity.export import export_compact
 from nmbg.capacity.judge import Limit, Score
-from nmbg.capacity.network import Racer, _best_smaller, _part, _ranked, candidates
+from nmbg.capacity.network import (
+    FEWEST_VIEWS,
+    Racer,
+    _best_smaller,
+    _part,
+    _ranked,
+    candidates,
+    unless_too_few,
+)
 from nmbg.capacity.plan import least, plan
 from nmbg.capacity.storage import STORAGES, stored_bytes
 from nmbg.cli import main
@@ -40,6 +49,43 @@ def test_every_choice_is_written_with_its_reason(run: Path) -> None:
     for part in (*parts, "harmonics", "network"):
         assert part in told
     assert all(choice.reason and choice.saves and choice.costs for choice in config.choices)
+
+
+def few(scene_folder: Path, folder: Path, count: int) -> Scene:
+    shutil.copytree(scene_folder, folder)
+    scene = replace(Scene.load(folder), folder=folder)
+    replace(scene, views=(*scene.train[:count], *scene.test)).save(folder)
+    return Scene.load(folder)
+
+
+@pytest.mark.parametrize("capacity", ["full", "auto"])
+def test_too_few_views_are_shown_without_a_network(
+    scene_folder: Path, tmp_path: Path, capacity: Literal["full", "auto"]
+) -> None:
+    scene = few(scene_folder, tmp_path / "few", FEWEST_VIEWS - 1)
+    run = train(scene, replace(AUTO, capacity=capacity), tmp_path / "run")
+    assert checkpoint.load_run(run).renderer.network is None
+    told = [str(choice) for choice in checkpoint.load_one(run)[1].choices]
+    assert [text for text in told if "network: none" in text and f"{FEWEST_VIEWS} are the least" in text]
+    assert evaluate(run, ["psnr"]).mean["psnr"] > 10
+    resume(run)
+
+
+def test_a_network_that_was_learned_elsewhere_is_kept_with_few_views(
+    scene_folder: Path, tmp_path: Path
+) -> None:
+    scene, config = Scene.load(scene_folder), replace(AUTO, capacity="full", iterations=1)
+    assert len(scene.train) >= FEWEST_VIEWS
+    first = train(scene, config, tmp_path / "first")
+    second = train(few(scene_folder, tmp_path / "few", 3), config, tmp_path / "second", init=first)
+    for run in (first, second):
+        assert checkpoint.load_one(run)[1].model.widths == config.model.widths
+
+
+def test_only_networks_over_photographs_need_so_many_views() -> None:
+    for preset in ("mesh", "photos", "paper", "npbg"):
+        assert unless_too_few(PRESETS[preset], 1) == PRESETS[preset]
+    assert unless_too_few(PRESETS["nmbg"], FEWEST_VIEWS) == PRESETS["nmbg"]
 
 
 def test_an_exported_run_renders_alike_in_fewer_bytes(run: Path, tmp_path: Path) -> None:

@@ -14,11 +14,11 @@ from nmbg.capacity.judge import Judge, Limit, Score
 from nmbg.losses import l1
 from nmbg.model.photographs import Gathered
 from nmbg.model.renderer import Renderer
-from nmbg.progress import progress_bar
+from nmbg.progress import console, progress_bar
 from nmbg.scene import Scene, View, evenly
 from nmbg.training.budget import Budget, Clock
 from nmbg.training.config import TrainConfig
-from nmbg.training.left_out import LeftOut
+from nmbg.training.left_out import LeftOut, can_leave_out
 from nmbg.training.precision import bf16_is_faster
 from nmbg.training.start import ColourFit
 from nmbg.training.views import Views
@@ -29,6 +29,9 @@ SHARE, PASSES = 0.2, 40
 RUNNERS, JUDGES = 24, 8
 # What none may cost beside the best network, and what a smaller one may.
 NONE_LIMIT, SMALL_LIMIT = Limit(0.02, 0.01), Limit(0.05, 0.01)
+# Fewer views teach a network over photographs what holds for them alone: of five, four captures of four are
+# shown worse with it than without, of eight two.
+FEWEST_VIEWS = 7
 # One hidden layer of so many channels, an eighth and a fifth of the full size's work, races against it.
 SMALL = (8, 12)
 
@@ -57,6 +60,22 @@ class Racer:
         """Render what was gathered of a view."""
         image: Tensor = self.renderer(sight, view.camera)
         return image
+
+
+def without_network(config: TrainConfig) -> TrainConfig:
+    """A configuration without one: nothing is left to train, whatever the budget."""
+    model = replace(config.model, widths=())
+    return replace(config, model=model, stages=(), minutes=None, iterations=None, epochs=None)
+
+
+def unless_too_few(config: TrainConfig, views: int) -> TrainConfig:
+    """A configuration without its network over photographs, where there are too few views to train it on."""
+    if views >= FEWEST_VIEWS or not (config.model.widths and can_leave_out(config)):
+        return config
+    reason = f"{views} views teach it what holds for them alone: {FEWEST_VIEWS} are the least"
+    choice = Choice("network: none", "all of it", "nothing", reason)
+    console.print(str(choice), highlight=False)
+    return replace(without_network(config), choices=(*config.choices, choice))
 
 
 def race(

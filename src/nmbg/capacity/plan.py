@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from nmbg.capacity.choices import Choice, megabytes
 from nmbg.capacity.harmonics import STEPS, USUAL_STEP, degrees_for, floats
 from nmbg.capacity.judge import JUDGES, LIMIT, SOURCES_LIMIT, Judge, Score
-from nmbg.capacity.network import race
+from nmbg.capacity.network import race, without_network
 from nmbg.capacity.photographs import COST, blending, choose_photographs
 from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, SUFFIX, USUAL, Storage, store, stored_bytes
 from nmbg.capacity.thinning import OPENED, THINNING_LIMIT, halved, opened
@@ -75,7 +75,7 @@ class _Sizing:
 
     def __init__(self, scene: Scene, config: TrainConfig) -> None:
         self.scene, self.config = scene, config
-        self.choices: list[Choice] = []
+        self.choices = list(config.choices)
         # All in the first fold of the colours' fit, which is then fitted without them.
         self.judge = Judge(scene, evenly(scene.train[::FOLDS], JUDGES))
         self._cover: tuple[Mesh, SourceCover] | None = None
@@ -262,10 +262,10 @@ class _Sizing:
         widths, network, choices = race(self.scene, self.config, renderer, fit, self.config.fps)
         for choice in choices:
             self._add(choice)
-        self._model(widths=widths)
-        if not widths:
-            # Nothing is left to train, whatever the budget.
-            self.config = replace(self.config, stages=(), minutes=None, iterations=None, epochs=None)
+        if widths:
+            self._model(widths=widths)
+        else:
+            self.config = without_network(self.config)
         return network
 
     def _model(self, **changes: object) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 from torch import nn
 
 from nmbg.atomic import atomic_folder
+from nmbg.capacity.network import unless_too_few
 from nmbg.errors import NmbgError
 from nmbg.losses import Perceptual
 from nmbg.progress import console
@@ -52,7 +53,9 @@ def train(
     """
     clock = Clock()
     config = with_layers(config, [scene], init)
-    if init is not None:
+    if init is None:
+        config = unless_too_few(config, len(scene.train))
+    else:
         refuse_other_network(init, config)
     window = smallest_window(config, [scene])
     perceptual, adversary = make_perceptual(config, weights, run), make_adversary(config, *window)
