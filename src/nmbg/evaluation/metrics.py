@@ -82,7 +82,8 @@ def _mean_similarity(
     c1, c2 = (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
     x, y = estimate.double(), target.double()
     mx, my, mxx, myy, mxy = local_mean(torch.stack([x, y, x * x, y * y, x * y])).chunk(5)
-    variances = unbiased * (mxx - mx * mx + myy - my * my)
+    # In this order identical images are rounded alike above and below, and have exactly 1.
+    variances = unbiased * ((mxx - mx * mx) + (myy - my * my))
     covariance = unbiased * (mxy - mx * my)
     similarity = (2 * mx * my + c1) * (2 * covariance + c2) / ((mx * mx + my * my + c1) * (variances + c2))
     return float(similarity.mean())
