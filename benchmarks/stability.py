@@ -12,6 +12,7 @@ of the steps, and the presets mesh and photos. Finished runs are kept; `--finish
 from __future__ import annotations
 
 import os
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from stress.rendering import RENDERINGS, away, flicker, measure, soak
 from sweep import QUICK, STEPS, Job, Sweep, trained_in_steps
 
 from nmbg.atomic import atomic_file
+from nmbg.model.renderer import Renderer
 from nmbg.scene import Scene
 from nmbg.training.checkpoint import load_run
 
@@ -96,11 +98,11 @@ def main(
             job = Job(scene, trained_in_steps(name, times=times))
             if run(job) is None:
                 continue
-            renderer = load_run(sweep.folder(job)).renderer
+            renderer = cache(partial(_renderer, sweep.folder(job)))
             folder = output / "rendered" / job.key
             for stress in RENDERINGS:
-                points = measure(renderer, sound, stress, folder, finished)
-                curves.setdefault(stress.name, {})[name] = points
+                if points := measure(renderer, sound, stress, folder, finished):
+                    curves.setdefault(stress.name, {})[name] = points
             rendered[name] = {
                 "away": away(renderer, sound, folder, finished),
                 "soak": soak(renderer, sound, cameras, folder, finished),
@@ -127,6 +129,10 @@ def main(
         file.write_text(draw(results))
     pictures(results, sound, output)
     click.echo(table(results))
+
+
+def _renderer(run: Path) -> Renderer:
+    return load_run(run).renderer
 
 
 def severities(stress: Stress, quick: bool) -> tuple[float, ...]:

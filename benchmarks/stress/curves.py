@@ -75,12 +75,11 @@ def table(results: dict[str, Any]) -> str:
         ]
         lines += ["|---|---|---|---|---|"]
         for preset, row in results["rendered"].items():
-            away, flicker = row["away"], row["flicker"]
+            away, soak, flicker = row["away"], row["soak"], row["flicker"]
             spread = f"{max(away['ranges'].values()):.3f}" if away else "–"
             steps = f"{flicker['mean']:.2f} ({flicker['least']:.2f})" if flicker else "–"
-            lines.append(
-                f"| {preset} | {row['soak']['cameras']} | {row['soak']['bad']} | {spread} | {steps} |"
-            )
+            random = f"{soak['cameras']} | {soak['bad']}" if soak else "– | –"
+            lines.append(f"| {preset} | {random} | {spread} | {steps} |")
     if results["seeds"]:
         lines += ["", "| preset | PSNR of seeds | range |", "|---|---|---|"]
         for preset, values in results["seeds"].items():

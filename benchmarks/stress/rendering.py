@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -27,9 +27,12 @@ from nmbg.sight import look
 
 # Held-out views that are looked at, and the share of one that must be seen again for a number.
 JUDGES, LEAST_SEEN = 3, 0.02
-# Random cameras are kept in so many at a time; their sides, pixels.
-CHUNK, SIDES = 500, (1, 64)
+SIDES = (1, 64)  # of random cameras, pixels
 FRAMES, PATH_VIEWS = 60, 4
+
+Kept = TypeVar("Kept")
+# A run's renderer, loaded where something is rendered: what is kept needs none.
+LoadedLate = Callable[[], Renderer]
 
 
 @dataclass(frozen=True)
@@ -120,39 +123,45 @@ RENDERINGS = (
 
 
 def measure(
-    renderer: Renderer, scene: Scene, rendering: Rendering, folder: Path, finished: bool
+    renderer: LoadedLate, scene: Scene, rendering: Rendering, folder: Path, finished: bool
 ) -> list[dict[str, Any]]:
     """PSNR of what held-out views show and the stressed cameras see, too; whether all is finite.
 
     "loss" is beside the PSNR of the same pixels as the photographs' own cameras show them, dB.
     """
-    points = []
-    for severity in rendering.severities:
-        name = f"{rendering.name.replace(' ', '-')}-{severity:g}"
+    name = rendering.name.replace(" ", "-")
 
-        def compute(severity: float = severity, name: str = name) -> dict[str, Any]:
-            values, finite = [], True
-            views = evenly(scene.test, JUDGES)
-            for view in views:
-                depth = look(scene.mesh, view.camera).depth
-                middle = float(depth[depth > 0].median()) if (depth > 0).any() else scene.radius
-                camera, scale = rendering.change(Place(view.camera, middle, scene.radius), severity)
-                image = renderer.render(camera, without={view.name})
-                finite &= bool(torch.isfinite(image).all())
-                values.append(_compare(renderer, image, camera, view, scale, scene))
-                if view is views[len(views) // 2]:
-                    folder.mkdir(parents=True, exist_ok=True)
-                    write_image(folder / f"{name}.png", to_bytes(image.nan_to_num()))
-            known = [value for value in values if value is not None]
-            psnr, loss = (
-                (sum(each) / len(known) for each in zip(*known, strict=True)) if known else (None, None)
-            )
-            return {"severity": severity, "psnr": psnr, "loss": loss, "finite": finite, "judged": len(known)}
+    def compute() -> list[dict[str, Any]]:
+        return [
+            _measured(renderer(), scene, rendering, severity, folder / f"{name}-{severity:g}.png")
+            for severity in rendering.severities
+        ]
 
-        point = _kept(folder / f"{name}.json", compute, finished)
-        if point is not None:
-            points.append({**point, "picture": str(Path("rendered") / folder.name / f"{name}.png")})
-    return points
+    points = _kept(folder / f"{name}.json", compute, finished) or []
+    return [
+        {**point, "picture": str(Path("rendered") / folder.name / f"{name}-{point['severity']:g}.png")}
+        for point in points
+    ]
+
+
+def _measured(
+    renderer: Renderer, scene: Scene, rendering: Rendering, severity: float, picture: Path
+) -> dict[str, Any]:
+    """A point of `measure`; writes the middle one of its pictures."""
+    values, finite = [], True
+    views = evenly(scene.test, JUDGES)
+    for view in views:
+        depth = look(scene.mesh, view.camera).depth
+        middle = float(depth[depth > 0].median()) if (depth > 0).any() else scene.radius
+        camera, scale = rendering.change(Place(view.camera, middle, scene.radius), severity)
+        image = renderer.render(camera, without={view.name})
+        finite &= bool(torch.isfinite(image).all())
+        values.append(_compare(renderer, image, camera, view, scale, scene))
+        if view is views[len(views) // 2]:
+            write_image(picture, to_bytes(image.nan_to_num()))
+    known = [value for value in values if value is not None]
+    psnr, loss = (sum(each) / len(known) for each in zip(*known, strict=True)) if known else (None, None)
+    return {"severity": severity, "psnr": psnr, "loss": loss, "finite": finite, "judged": len(known)}
 
 
 def _compare(
@@ -177,7 +186,7 @@ def _compare(
     return value, beside - value
 
 
-def away(renderer: Renderer, scene: Scene, folder: Path, finished: bool) -> dict[str, Any] | None:
+def away(renderer: LoadedLate, scene: Scene, folder: Path, finished: bool) -> dict[str, Any] | None:
     """A camera far away that looks away, of several sizes: the most that pixels differ within a channel."""
 
     def compute() -> dict[str, Any]:
@@ -186,7 +195,7 @@ def away(renderer: Renderer, scene: Scene, folder: Path, finished: bool) -> dict
         for width, height in ((64, 48), (camera.width, camera.height), (1, 1), (33, 7)):
             place = scene.centre + 1e3 * scene.radius * np.array([0.3, 0.5, 0.8])
             away = camera.resized(width, height).looking_at(2 * place - scene.centre, place, scene.up)
-            image = renderer.render(away)
+            image = renderer().render(away)
             finite &= bool(torch.isfinite(image).all())
             flat = image.flatten(1)
             ranges[f"{width}×{height}"] = float((flat.amax(1) - flat.amin(1)).max())
@@ -208,48 +217,44 @@ def random_camera(scene: Scene, random: np.random.Generator) -> Camera:
     return Camera(K, R, -R @ centre, int(width), int(height))
 
 
-def soak(renderer: Renderer, scene: Scene, cameras: int, folder: Path, finished: bool) -> dict[str, Any]:
+def soak(
+    renderer: LoadedLate, scene: Scene, cameras: int, folder: Path, finished: bool
+) -> dict[str, int] | None:
     """Renders of random cameras that are not finite, or not in [0, 1], or of the wrong shape."""
-    done, bad = 0, 0
-    chunks = -(-cameras // CHUNK)
-    with progress_bar() as bar:
-        for chunk in bar.track(range(chunks), description="random cameras"):
-            n = min(CHUNK, cameras - chunk * CHUNK)
 
-            def compute(chunk: int = chunk, n: int = n) -> dict[str, int]:
-                wrong = 0
-                for i in range(n):
-                    camera = random_camera(scene, np.random.default_rng([chunk, i]))
-                    image = renderer.render(camera)
-                    right = image.shape == (3, camera.height, camera.width)
-                    wrong += not (right and bool(((image >= 0) & (image <= 1)).all()))
-                return {"cameras": n, "bad": wrong}
+    def compute() -> dict[str, int]:
+        bad = 0
+        with progress_bar() as bar:
+            for i in bar.track(range(cameras), description="random cameras"):
+                camera = random_camera(scene, np.random.default_rng(i))
+                image = renderer().render(camera)
+                right = image.shape == (3, camera.height, camera.width)
+                bad += not (right and bool(((image >= 0) & (image <= 1)).all()))
+        return {"cameras": cameras, "bad": bad}
 
-            found = _kept(folder / f"soak-{chunk}-{n}.json", compute, finished)
-            if found is not None:
-                done, bad = done + found["cameras"], bad + found["bad"]
-    return {"cameras": done, "bad": bad}
+    return _kept(folder / f"soak-{cameras}.json", compute, finished)
 
 
-def flicker(renderer: Renderer, scene: Scene, folder: Path, finished: bool) -> dict[str, Any] | None:
+def flicker(renderer: LoadedLate, scene: Scene, folder: Path, finished: bool) -> dict[str, Any] | None:
     """PSNR of the frames of a smooth path and the ones before them, warped: mean and least, dB."""
 
     def compute() -> dict[str, Any]:
         path = through([view.camera for view in scene.train[:PATH_VIEWS]], FRAMES)
         depths = [look(scene.mesh, camera).depth for camera in path]
-        steps = differences([renderer.render(camera) for camera in path], path, depths)
+        steps = differences([renderer().render(camera) for camera in path], path, depths)
         values = [step.psnr for step in steps if step.psnr is not None]
         return {"mean": float(np.mean(values)), "least": float(np.min(values))}
 
     return _kept(folder / "flicker.json", compute, finished)
 
 
-def _kept(path: Path, compute: Callable[[], dict[str, Any]], finished: bool) -> dict[str, Any] | None:
+def _kept(path: Path, compute: Callable[[], Kept], finished: bool) -> Kept | None:
     """What a file holds; computed where there is none, unless only what is finished is asked for."""
     if not path.exists():
         if finished:
             return None
+        path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path) as temporary:
             temporary.write_text(json.dumps(compute()))
-    found: dict[str, Any] = json.loads(path.read_text())
+    found: Kept = json.loads(path.read_text())
     return found
