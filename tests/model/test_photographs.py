@@ -181,6 +181,18 @@ def test_the_network_starts_as_the_plain_blend(scene: Scene) -> None:
     torch.testing.assert_close(renderer(sight, camera), plain, atol=2e-3, rtol=0)
 
 
+def test_a_network_shows_a_plain_frame_of_nothing(scene: Scene) -> None:
+    """Its convolutions know where the frame ends, and would draw that."""
+    renderer = Renderer(PRESETS["nmbg"].model, [scene.mesh])
+    renderer.remember(scene, scene.train)
+    torch.nn.init.normal_(renderer.network.layers[-1].weight)  # type: ignore[union-attr]
+    camera = scene.test[0].camera
+    away = 1e3 * scene.radius * np.ones(3)
+    image = renderer.render(camera.looking_at(scene.centre + 2 * away, scene.centre + away, scene.up))
+    assert image.flatten(1).std(1).max() == 0
+    assert renderer.render(camera).flatten(1).std(1).min() > 0
+
+
 def test_a_network_cannot_show_what_no_photograph_shows(scene: Scene) -> None:
     """Re-weighting alone leaves a pixel between its sources."""
     renderer = Renderer(PRESETS["nmbg"].model, [scene.mesh])

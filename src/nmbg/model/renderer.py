@@ -82,8 +82,11 @@ class Renderer(nn.Module):
         """
         if self.photographs is None:
             return self.rasterize(camera, once=True)
-        blend = self.photographs.over if self.network is None else self.photographs.gather
-        return blend(camera, *self.on_mesh(camera), without)
+        colour, depth = self.on_mesh(camera)
+        # Of nothing at all, a network would show its borders.
+        alone = self.network is None or not depth.any()
+        blend = self.photographs.over if alone else self.photographs.gather
+        return blend(camera, colour, depth, without)
 
     def padded(self, camera: Camera) -> Camera:
         """The view extended so that the pyramid's sizes are whole."""
@@ -156,7 +159,7 @@ class Renderer(nn.Module):
         self.eval()
         try:
             sight = self.see(camera, without)
-            # Of nothing at all, a network would show its borders.
+            # As in see().
             nothing = isinstance(sight, list) and all(layer.empty for layer in sight)
             grey = torch.full((3, camera.height, camera.width), 0.5)
             with torch.autocast(self._device.type, torch.bfloat16, enabled=self.bf16):
