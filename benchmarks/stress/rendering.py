@@ -24,6 +24,7 @@ from nmbg.paths import through
 from nmbg.progress import progress_bar
 from nmbg.scene import Scene, View, evenly
 from nmbg.sight import look
+from stress.scenes import file_name
 
 # Held-out views that are looked at, and the share of one that must be seen again for a number.
 JUDGES, LEAST_SEEN = 3, 0.02
@@ -129,17 +130,20 @@ def measure(
 
     "loss" is beside the PSNR of the same pixels as the photographs' own cameras show them, dB.
     """
-    name = rendering.name.replace(" ", "-")
+    name = file_name(rendering.name)
+
+    def picture(severity: float) -> str:
+        return f"{name}-{severity:g}.png"
 
     def compute() -> list[dict[str, Any]]:
         return [
-            _measured(renderer(), scene, rendering, severity, folder / f"{name}-{severity:g}.png")
+            _measured(renderer(), scene, rendering, severity, folder / picture(severity))
             for severity in rendering.severities
         ]
 
     points = _kept(folder / f"{name}.json", compute, finished) or []
     return [
-        {**point, "picture": str(Path("rendered") / folder.name / f"{name}-{point['severity']:g}.png")}
+        {**point, "picture": str(Path("rendered") / folder.name / picture(point["severity"]))}
         for point in points
     ]
 
