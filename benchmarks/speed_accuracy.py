@@ -15,6 +15,7 @@ trains each point for 15 seconds.
 
 from __future__ import annotations
 
+import math
 import os
 import shlex
 from collections.abc import Sequence
@@ -47,6 +48,7 @@ COSTS = {
     "megabytes": "MB of the trained scene",
 }
 FRONT = "Pareto front"
+CLOSE = 3.0  # dB below the best PSNR: drawn once more, larger
 SIZE = (440, 300)  # of a chart, pixels
 
 
@@ -210,12 +212,13 @@ def _front(points: Sequence[dict[str, Any]], metric: str, cost: str) -> list[int
 
 def _draw(points: Sequence[dict[str, Any]]) -> str:
     names = list(dict.fromkeys(point["name"] for point in points))
+    best = max((point["psnr"] for point in points if point["psnr"] is not None), default=0.0)
 
-    def series(metric: str, cost: str) -> list[Series]:
+    def series(metric: str, cost: str, least: float = -math.inf) -> list[Series]:
         # What takes no time stands at the left end of a logarithmic axis: a second.
         places = [
             None
-            if p[cost] is None or p[metric] is None
+            if p[cost] is None or p[metric] is None or p[metric] < least
             else (max(p[cost], 1 / 60 if cost == "minutes" else 0), p[metric])
             for p in points
         ]
@@ -227,9 +230,11 @@ def _draw(points: Sequence[dict[str, Any]]) -> str:
             lines.append(Series(name, own, line=cost == "minutes", colour=colour, shape=shape))
         return lines
 
+    rows = [(metric, Axis(label, log=not more), -math.inf) for metric, (label, more) in METRICS.items()]
+    rows.insert(1, ("psnr", Axis(f"PSNR, dB, the best {CLOSE:g}"), best - CLOSE))
     charts = [
-        chart(series(metric, cost), Axis(told, log=True), Axis(label), size=SIZE)
-        for metric, (label, _) in METRICS.items()
+        chart(series(metric, cost, least), Axis(told, log=True), up, size=SIZE)
+        for metric, up, least in rows
         for cost, told in COSTS.items()
     ]
     return figure(charts, series("psnr", "minutes"), len(COSTS), SIZE)

@@ -64,13 +64,18 @@ def main(
     failed: dict[str, str] = {}
 
     def run(job: Job) -> dict[str, Any] | None:
+        told = output / "failed" / f"{job.key}.txt"
         if not finished and sweep.found(job) is None:
             try:
                 sweep.measure([job], split=False)
             except Exception as error:  # what a stress breaks is a result, too
-                failed[job.key] = f"{type(error).__name__}: {error}"
-                click.echo(f"{job.key}: {failed[job.key]}")
-        return sweep.found(job)
+                with atomic_file(told) as path:
+                    path.write_text(f"{type(error).__name__}: {error}")
+                click.echo(f"{job.key}: {told.read_text()}")
+        record = sweep.found(job)
+        if record is None and told.exists():
+            failed[job.key] = told.read_text()
+        return record
 
     curves: dict[str, Any] = {}
     for stress in (s for s in STRESSES.values() if s.group in chosen and s.judged(sound, 0)):

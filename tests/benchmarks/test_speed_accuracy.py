@@ -72,3 +72,10 @@ def test_a_photograph_warped_to_its_own_place_is_itself(benchmark: ModuleType, s
     seen = nearest.look(scene.mesh, view.camera).covered.numpy()
     assert seen.mean() > 0.5
     assert np.abs(warped[seen].astype(int) - photograph[seen]).max() <= 1
+
+
+def test_what_is_close_to_the_best_is_drawn_once_more(benchmark: ModuleType) -> None:
+    points = [point("far", 20, 0.1, 1), point("near", 28, 0.1, 2), point("best", 30, 0.1, 3)]
+    told = benchmark._draw(points)
+    # Minutes and milliseconds are known: PSNR, SSIM and LPIPS for all, PSNR once more for two.
+    assert [told.count(f"<title>{name}:") for name in ("far", "near", "best")] == [6, 8, 8]

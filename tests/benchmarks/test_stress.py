@@ -139,7 +139,7 @@ def test_cameras_are_off_by_what_is_said(scene):
 
     for a, b in pairs("rotation", 2):
         assert np.degrees(np.arccos((np.trace(a.R @ b.R.T) - 1) / 2)) == pytest.approx(2)
-        np.testing.assert_allclose(a.centre, b.centre)
+        np.testing.assert_allclose(a.centre, b.centre, atol=1e-12)
     for a, b in pairs("position", 0.05):
         assert np.linalg.norm(a.centre - b.centre) == pytest.approx(0.05 * scene.radius)
         np.testing.assert_allclose(a.R, b.R)
