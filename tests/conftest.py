@@ -18,7 +18,7 @@ from nmbg.images import write_image
 settings.register_profile("nmbg", deadline=None)
 settings.load_profile("nmbg")
 
-N_CAMERAS = 9
+N_CAMERAS = 14  # twelve of them are for training: a network wants as many
 SIZE = (64, 48)
 BALL = np.array([0.0, 0.0, 0.8])
 HALF_SIDE = 2.5
@@ -47,10 +47,10 @@ def lens(model: str, camera_id: int = 1) -> pycolmap.Camera:
     return pycolmap.Camera(model=model, width=width, height=height, params=params, camera_id=camera_id)
 
 
-def poses() -> list[pycolmap.Rigid3d]:
+def poses(n_cameras: int) -> list[pycolmap.Rigid3d]:
     """World → camera, on a ring that looks at the ball from somewhat above; z is up."""
     out = []
-    for angle in np.arange(N_CAMERAS) * 2 * np.pi / N_CAMERAS:
+    for angle in np.arange(n_cameras) * 2 * np.pi / n_cameras:
         centre = np.array([3.2 * np.cos(angle), 3.2 * np.sin(angle), 1.8 + 0.3 * np.sin(3 * angle)])
         forward = BALL - centre
         forward /= np.linalg.norm(forward)
@@ -107,7 +107,11 @@ def surface() -> trimesh.Trimesh:
 
 
 def write_workspace(
-    folder: Path, model: str = "PINHOLE", camera: pycolmap.Camera | None = None, n_points: int = 60
+    folder: Path,
+    model: str = "PINHOLE",
+    camera: pycolmap.Camera | None = None,
+    n_points: int = 60,
+    n_cameras: int = N_CAMERAS,
 ) -> Path:
     """A COLMAP workspace with images/, sparse/0 (binary) and meshed-delaunay.ply, seen through one lens.
 
@@ -121,7 +125,7 @@ def write_workspace(
     reconstruction.add_camera_with_trivial_rig(camera)
     tracks = [pycolmap.Track() for _ in points]
     (folder / "images").mkdir(parents=True)
-    for i, pose in enumerate(poses()):
+    for i, pose in enumerate(poses(n_cameras)):
         in_camera = points @ pose.rotation.matrix().T + pose.translation
         pixels = np.asarray(camera.img_from_cam(in_camera)) + rng.normal(0, 0.5, (n_points, 2))
         seen = np.flatnonzero(((pixels > 0) & (pixels < (camera.width, camera.height))).all(1))
@@ -142,7 +146,7 @@ def write_workspace(
 
 @pytest.fixture(scope="session")
 def make_workspace() -> Callable[..., Path]:
-    """`make_workspace(folder, model="PINHOLE")` writes a workspace of 9 photographs through any lens."""
+    """`make_workspace(folder, model="PINHOLE")` writes a workspace of photographs through any lens."""
     return write_workspace
 
 

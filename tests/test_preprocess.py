@@ -28,8 +28,8 @@ def test_the_scene_holds_what_the_capture_showed(scene_folder: Path) -> None:
     assert {path.name for path in scene_folder.glob("[!.]*")} == {"geometry.ply", "images", "scene.json"}
     summary = scene.summary
     assert (summary["images"]["registered"], summary["images"]["train"], summary["images"]["test"]) == (
-        9,
-        7,
+        14,
+        12,
         2,
     )
     assert summary["mesh"]["vertices"] + scene.shell_vertices == len(scene.mesh.vertices)
@@ -93,8 +93,9 @@ def test_layers_can_be_chosen(wish: str, layers: int, shared_workspace: Path, tm
     assert scene.summary["layers"]["why"] == "as asked"
 
 
-def test_patches_come_between_mesh_and_shell(workspace: Path, tmp_path: Path) -> None:
+def test_patches_come_between_mesh_and_shell(make_workspace: Callable[..., Path], tmp_path: Path) -> None:
     """A hole in the ground: the patch lies about where the ground was."""
+    workspace = make_workspace(tmp_path / "capture", n_cameras=9)
     path = workspace / "meshed-delaunay.ply"
     whole = trimesh.load(path, process=False)
     middle = whole.triangles_center
@@ -126,7 +127,7 @@ def write_masks(folder: Path, width: int = 64, height: int = 48) -> Path:
     mask = np.zeros((height, width), np.uint8)
     mask[height // 4 : -height // 4, width // 4 : -width // 4] = 255
     folder.mkdir()
-    for i in range(9):
+    for i in range(14):
         write_image(folder / f"{i:03d}.png", mask)
     return folder
 
@@ -171,7 +172,7 @@ def test_absent_images_stop_unless_skipped(workspace: Path, tmp_path: Path) -> N
     with pytest.raises(NmbgError, match=r"004\.png: no such image.*--skip-missing"):
         preprocess(workspace, tmp_path / "scene")
     scene = preprocess(workspace, tmp_path / "scene", PreprocessOptions(skip_missing=True))
-    assert len(scene.views) == 8
+    assert len(scene.views) == 13
     assert scene.summary["images"]["absent"] == ["004.png"]
 
 
@@ -187,7 +188,7 @@ def remove_images(workspace: Path) -> PreprocessOptions:
 
 
 def leave_one_image(workspace: Path) -> PreprocessOptions:
-    for i in range(1, 9):
+    for i in range(1, 14):
         (workspace / "images" / f"{i:03d}.png").unlink()
     return PreprocessOptions(test_every=0, skip_missing=True)
 
@@ -235,7 +236,7 @@ def unknown_split(workspace: Path) -> PreprocessOptions:
 
 
 def split_without_training(workspace: Path) -> PreprocessOptions:
-    (workspace / "split.txt").write_text("\n".join(str(i) for i in range(9)))
+    (workspace / "split.txt").write_text("\n".join(str(i) for i in range(14)))
     return PreprocessOptions(split=Path("split.txt"))
 
 

@@ -44,9 +44,9 @@ def test_loading_what_was_saved_gives_the_same_numbers(scene_folder: Path, tmp_p
 
 def test_views_are_sorted_and_split(scene_folder: Path) -> None:
     scene = Scene.load(scene_folder)
-    assert [view.name for view in scene.views] == [f"{i:03d}.png" for i in range(9)]
+    assert [view.name for view in scene.views] == [f"{i:03d}.png" for i in range(14)]
     assert [view.name for view in scene.test] == ["000.png", "008.png"]
-    assert len(scene.train) == 7
+    assert len(scene.train) == 12
     assert scene.load_image(scene.views[0]).shape == (48, 64, 3)
     assert scene.load_mask(scene.views[0]) is None
 

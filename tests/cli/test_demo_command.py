@@ -23,7 +23,7 @@ def run_demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
     def run(*words: str) -> Result:
         out = str(tmp_path / "out")
-        return CliRunner().invoke(main, ["demo", out, "--views", "9", "--minutes", "0.02", *words])
+        return CliRunner().invoke(main, ["demo", out, "--views", "14", "--minutes", "0.02", *words])
 
     return run
 

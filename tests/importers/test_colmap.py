@@ -22,7 +22,7 @@ def same_cameras(a: Capture, b: Capture) -> bool:
 
 def test_the_usual_layout_is_found(workspace: Path) -> None:
     capture = read_capture(workspace)
-    assert [photo.name for photo in capture.photos] == [f"{i:03d}.png" for i in range(9)]
+    assert [photo.name for photo in capture.photos] == [f"{i:03d}.png" for i in range(14)]
     assert capture.images.resolve() == workspace / "images"
     assert capture.mesh == workspace / "meshed-delaunay.ply"
     assert capture.unregistered == capture.absent == ()
@@ -59,14 +59,14 @@ def test_models_are_found_at_every_usual_place(place: str, workspace: Path) -> N
         (workspace / place).mkdir(parents=True, exist_ok=True)
         file.rename(workspace / place / file.name)
     capture = read_capture(workspace)
-    assert len(capture.photos) == 9
+    assert len(capture.photos) == 14
     assert capture.mesh is not None
 
 
 @pytest.mark.parametrize("place", ["sparse", "sparse/0"])
 def test_the_folder_of_the_model_itself_will_do(place: str, workspace: Path) -> None:
     capture = read_capture(workspace / place)
-    assert len(capture.photos) == 9
+    assert len(capture.photos) == 14
     assert capture.mesh is not None
 
 
@@ -78,7 +78,7 @@ def test_the_largest_of_several_models_is_taken(workspace: Path) -> None:
     (workspace / "sparse" / "0").mkdir()
     small.write_binary(workspace / "sparse" / "0")
     capture = read_capture(workspace)
-    assert len(capture.photos) == 9
+    assert len(capture.photos) == 14
     assert capture.description.endswith("sparse/1")
 
 
@@ -88,7 +88,7 @@ def test_unregistered_and_absent_images_are_named(workspace: Path) -> None:
     capture = read_capture(workspace)
     assert capture.unregistered == ("extra.png",)
     assert capture.absent == ("003.png",)
-    assert len(capture.photos) == 8
+    assert len(capture.photos) == 13
 
 
 def test_images_may_lie_elsewhere(workspace: Path, tmp_path: Path) -> None:

@@ -38,7 +38,7 @@ def row(scene: Scene, monkeypatch: pytest.MonkeyPatch, gains: Sequence[float]) -
     return replace(scene, views=tuple(views))
 
 
-DRIFT = np.linspace(1, 0.5, 12).tolist()
+DRIFT = np.linspace(1, 0.55, 12).tolist()
 
 
 def test_drifting_exposures_are_told_apart(scene_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

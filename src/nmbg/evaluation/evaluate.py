@@ -20,7 +20,7 @@ from nmbg.evaluation.results import Report, write_results
 from nmbg.images import Image, to_bytes
 from nmbg.scene import Scene, Split, View, evenly
 from nmbg.training.checkpoint import Run, load_run
-from nmbg.training.left_out import LeftOut, can_leave_out, refit_left_out
+from nmbg.training.left_out import LeftOut, can_leave_out, fit_left_out
 from nmbg.training.run_views import load_views
 
 
@@ -93,7 +93,7 @@ def _shows(run: Run, scene: Scene, split: Split) -> Callable[[View], Tensor]:
         if renderer.photographs is not None:
             renderer.photographs.prepare()
         return lambda view: renderer.render(view.camera, without={view.name})
-    left_out = LeftOut(renderer, refit_left_out(renderer, scene))
+    left_out = LeftOut(renderer, fit_left_out(renderer, scene))
 
     @torch.no_grad()
     def show(view: View) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 from functools import partial
 
@@ -28,13 +29,6 @@ def fit_left_out(renderer: Renderer, scene: Scene) -> ColourFit:
     return ColourFit(renderer.layers, scene, scene.train, renderer.config.bases, folds)
 
 
-def refit_left_out(renderer: Renderer, scene: Scene) -> ColourFit:
-    """The same of a renderer that has colours already: vertices keep their degrees."""
-    fit = fit_left_out(renderer, scene)
-    fit.degrees = renderer.degrees()
-    return fit
-
-
 class LeftOut:
     """Training views without their own photograph, which is neither blended nor in the colours on the mesh.
 
@@ -42,18 +36,20 @@ class LeftOut:
     it; a view is seen over those of its fold. What the network sees then errs as it will on new views.
 
     Args:
-        renderer: gives geometry and photographs.
+        renderer: gives geometry, photographs, and by its colours the degree of each vertex.
         fit: colours of the training views in folds.
     """
 
     def __init__(self, renderer: Renderer, fit: ColourFit) -> None:
         assert renderer.photographs is not None
-        self.fit = fit
+        # A resumed run knows degrees by the colours alone, and vertices round by which are solved together.
+        self.fit = copy(fit)
+        self.fit.degrees = renderer.degrees()
         self.meshes = [
             Renderer(replace(renderer.config, widths=()), renderer.layers) for _ in range(fit.folds)
         ]
         for fold, mesh in enumerate(self.meshes):
-            mesh.set_colours(fit.coefficients(without=fold))
+            mesh.set_colours(self.fit.coefficients(without=fold))
         self.photographs = renderer.photographs.recoloured(partial(coloured, self.meshes))
 
     @property

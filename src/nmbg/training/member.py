@@ -23,7 +23,7 @@ from nmbg.training.camera_picture import camera_picture
 from nmbg.training.config import AS_TAKEN, TrainConfig
 from nmbg.training.exposures import find_exposures
 from nmbg.training.inspection import doubtful, without
-from nmbg.training.left_out import LeftOut, can_leave_out, fit_left_out, refit_left_out
+from nmbg.training.left_out import LeftOut, can_leave_out, fit_left_out
 from nmbg.training.optimiser import Part, descriptors_part
 from nmbg.training.run_views import load_exposures, load_views, save_views
 from nmbg.training.start import ColourFit, mean_colours
@@ -55,7 +55,7 @@ class Member:
         self.folder, self.scene, self.config, self.renderer = folder, scene, config, renderer
         checkpoint.remember_photographs(folder, renderer, config.cache_gib)
         if fit is None and can_leave_out(config):
-            fit = refit_left_out(renderer, scene)
+            fit = fit_left_out(renderer, scene)
         renderer.exposures = load_exposures(folder)
         self.left_out = None if fit is None or not can_leave_out(config) else LeftOut(renderer, fit)
         self.training, self.validation = make_views(scene, config, renderer, self.left_out, folder)
