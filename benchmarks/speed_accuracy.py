@@ -247,10 +247,13 @@ def _png(picture: str) -> bytes:
 
 
 def _table(results: dict[str, Any]) -> str:
-    points, machine = results["points"], results["machine"]
+    points = results["points"]
+    # Of kept runs, whatever tabulates them.
+    machines = [point["machine"] for point in points if point["budget"] is not None]
+    told = " and ".join(dict.fromkeys(f"{one['cpu']}, {one['threads']} threads" for one in machines))
     lines = [
-        f"Held-out views of {results['scene']}; {machine['cpu']}, {machine['threads']} threads, seed "
-        f"{results['seed']}. What is not known of another program's pictures is left empty.",
+        f"Held-out views of {results['scene']}; {told}, seed {results['seed']}. What is not known of another "
+        "program's pictures is left empty.",
         "",
         f"| point | budget, minutes | {' | '.join(label for label, _ in METRICS.values())} | "
         f"{' | '.join(COSTS.values())} |",

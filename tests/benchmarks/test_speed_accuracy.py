@@ -39,14 +39,16 @@ def test_the_front_takes_more_psnr_and_less_lpips_for_more_minutes(benchmark: Mo
 
 def test_points_of_unknown_cost_are_in_the_table_and_the_picture_is_sound(benchmark: ModuleType) -> None:
     points = [point("a", 20, 0.1, 0.0), point("<b>", None, 0.3, None)]
+    points[0] |= {"budget": 0.0, "machine": {"cpu": "c", "threads": 1}}
     results = {
         "scene": "s",
         "seed": 0,
-        "machine": {"cpu": "c", "threads": 1},
+        "machine": {"cpu": "of what tabulates", "threads": 2},
         "points": points,
         "fronts": {"psnr / minutes": benchmark._front(points, "psnr", "minutes")},
     }
     assert "| <b> |  |  | 0.5000 | 0.3000 |  | 1 |  |" in benchmark._table(results)
+    assert benchmark._table(results).startswith("Held-out views of s; c, 1 threads, seed 0.")
     assert "- psnr / minutes: a\n" in benchmark._table(results)
     ET.fromstring(benchmark._draw(points))
 
