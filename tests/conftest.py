@@ -173,6 +173,16 @@ def scene_folder(shared_workspace: Path, tmp_path_factory: pytest.TempPathFactor
 
 
 @pytest.fixture(scope="session")
+def scene_of_nine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same seen by nine cameras, seven of them for training, for reading only."""
+    from nmbg.preprocess import preprocess
+
+    folder = tmp_path_factory.mktemp("nine")
+    preprocess(write_workspace(folder / "workspace", n_cameras=9), folder / "scene")
+    return folder / "scene"
+
+
+@pytest.fixture(scope="session")
 def captures() -> Path:
     """The folder of real captures; skips where they are not at hand."""
     folder = Path(__file__).parents[2] / "shared" / "scenes"

@@ -38,11 +38,11 @@ def row(scene: Scene, monkeypatch: pytest.MonkeyPatch, gains: Sequence[float]) -
     return replace(scene, views=tuple(views))
 
 
-DRIFT = np.linspace(1, 0.55, 12).tolist()
+DRIFT = np.linspace(1, 0.5, 12).tolist()
 
 
-def test_drifting_exposures_are_told_apart(scene_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = row(Scene.load(scene_folder), monkeypatch, DRIFT)
+def test_drifting_exposures_are_told_apart(scene_of_nine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = row(Scene.load(scene_of_nine), monkeypatch, DRIFT)
     found = find_exposures(scene, scene.train)
     assert found is not None
     gains = [float(exposure.gain.mean()) for exposure in found.values]
@@ -51,16 +51,16 @@ def test_drifting_exposures_are_told_apart(scene_folder: Path, monkeypatch: pyte
 
 @pytest.mark.parametrize("gains", [[0.7] * 12, [*[1.0] * 5, 0.6, *[1.0] * 6], [0.9]])
 def test_what_all_share_or_one_alone_has_is_no_difference(
-    scene_folder: Path, monkeypatch: pytest.MonkeyPatch, gains: list[float]
+    scene_of_nine: Path, monkeypatch: pytest.MonkeyPatch, gains: list[float]
 ) -> None:
-    scene = row(Scene.load(scene_folder), monkeypatch, gains)
+    scene = row(Scene.load(scene_of_nine), monkeypatch, gains)
     assert find_exposures(scene, scene.train) is None
 
 
 def test_a_run_renders_as_the_photographs_around_were_exposed(
-    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene_of_nine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene = row(Scene.load(scene_folder), monkeypatch, DRIFT)
+    scene = row(Scene.load(scene_of_nine), monkeypatch, DRIFT)
     run = train(scene, replace(CONFIG, exposure=True), tmp_path / "exposed")
     exposures = load_exposures(run)
     assert exposures is not None
