@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 
@@ -21,6 +22,11 @@ class Choice:
     costs: str
     reason: str
 
+    @property
+    def part(self) -> str:
+        """Of the model, that it is about."""
+        return self.choice.partition(":")[0]
+
     def __str__(self) -> str:
         return f"{self.choice}: saves {self.saves}, costs {self.costs}; {self.reason}"
 
@@ -28,3 +34,13 @@ class Choice:
 def megabytes(count: float) -> str:
     """A number of bytes in words."""
     return f"{count / 1e6:.2f} MB"
+
+
+def least(enough: Callable[[int], bool], usual: int) -> int:
+    """The first of growing sizes that is enough, searched from a usual one; one of them must be."""
+    i = usual
+    while not enough(i):
+        i += 1
+    while i > 0 and enough(i - 1):
+        i -= 1
+    return i

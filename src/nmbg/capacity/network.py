@@ -1,65 +1,33 @@
-"""Whether a scene needs a network, and how wide: short races on left-out training views."""
+"""How much of a network a scene needs: none where there are few views, else what it misses when it is cut."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import cache
 
 import torch
-from torch import Tensor, nn
 
-from nmbg.capacity.choices import Choice
+from nmbg.capacity.channels import Narrowing
+from nmbg.capacity.choices import Choice, least
 from nmbg.capacity.cost import network_multiply_adds, seconds_per_frame
-from nmbg.capacity.judge import Judge, Limit, Score
-from nmbg.losses import l1
+from nmbg.capacity.judge import JUDGES, Judge, Limit, Score
+from nmbg.model.fusion import Fusion
 from nmbg.model.photographs import Gathered
 from nmbg.model.renderer import Renderer
-from nmbg.progress import console, progress_bar
-from nmbg.scene import Scene, View, evenly
-from nmbg.training.budget import Budget, Clock
+from nmbg.progress import console
+from nmbg.scene import Scene, evenly
 from nmbg.training.config import TrainConfig
-from nmbg.training.left_out import LeftOut, can_leave_out
+from nmbg.training.left_out import can_leave_out
 from nmbg.training.precision import bf16_is_faster
-from nmbg.training.start import ColourFit
 from nmbg.training.views import Views
 
-# Share of the budget that races take, and passes over their views that tell networks apart.
-SHARE, PASSES = 0.2, 40
-# Training views that they run on, and views that judge them.
-RUNNERS, JUDGES = 24, 8
-# What none may cost beside the best network, and what a smaller one may.
-NONE_LIMIT, SMALL_LIMIT = Limit(0.02, 0.01), Limit(0.05, 0.01)
+# What no network may cost beside the trained one, and what fewer channels may.
+NONE_LIMIT, NARROW_LIMIT = Limit(0.02, 0.01), Limit(0.05, 0.02)
+# Channels of each hidden layer that are tried, and those that are tried first.
+WIDTHS, USUAL = (4, 6, 8, 10, 12, 16, 24), 10
 # Fewer views teach a network over photographs what holds for them alone: with five, four captures of four are
 # shown worse with it than without, with eight three, eleven two; ten cost one 1.3 dB (docs/stability.md).
 FEWEST_VIEWS = 12
-# One hidden layer of so many channels, an eighth and a fifth of the full size's work, races against it.
-SMALL = (8, 12)
-
-
-@dataclass
-class Racer:
-    """A network in the race.
-
-    Args:
-        renderer: that shows it.
-        work: multiply-adds of a frame.
-        score: after the last round.
-    """
-
-    renderer: Renderer
-    work: int
-    score: Score
-
-    @property
-    def network(self) -> nn.Module:
-        """What is trained."""
-        assert self.renderer.network is not None
-        return self.renderer.network
-
-    def show(self, sight: Gathered, view: View) -> Tensor:
-        """Render what was gathered of a view."""
-        image: Tensor = self.renderer(sight, view.camera)
-        return image
 
 
 def without_network(config: TrainConfig) -> TrainConfig:
@@ -73,124 +41,80 @@ def unless_too_few(config: TrainConfig, views: int) -> TrainConfig:
     if views >= FEWEST_VIEWS or not (config.model.widths and can_leave_out(config)):
         return config
     reason = f"{views} views teach it what holds for them alone: {FEWEST_VIEWS} are the least"
-    choice = Choice("network: none", "all of it", "nothing", reason)
-    console.print(str(choice), highlight=False)
-    return replace(without_network(config), choices=(*config.choices, choice))
+    return _chose(without_network(config), Choice("network: none", "all of it", "nothing", reason))
 
 
-def race(
-    scene: Scene, config: TrainConfig, renderer: Renderer, fit: ColourFit, fps: float | None
-) -> tuple[tuple[int, ...], nn.Module | None, list[Choice]]:
-    """Choose the widths of the network by successive halving.
+def size_network(scene: Scene, config: TrainConfig, renderer: Renderer, examples: Views) -> TrainConfig:
+    """Cut a trained network to what the scene needs.
+
+    Training views judge it, each as the other photographs show it. They have taught it, so that none at all
+    is judged too strictly: a network that learned nothing but them would stay.
 
     Args:
-        scene: the scene.
-        config: gives the widths of the full size, the budget and the rates.
-        renderer: with the photographs that are kept and colours, without a network.
-        fit: the colours in folds.
-        fps: frames a second that are wished for, or None.
+        scene: gives photographs and masks.
+        config: how the network was trained, and the frames a second that are wished for.
+        renderer: that holds it, and then holds what is left of it.
+        examples: the views that it was trained on.
 
     Returns:
-        widths, the network as the race left it, and what was chosen.
+        the configuration with the size that was chosen, and why.
     """
-    judging = evenly(scene.train, min(JUDGES, len(scene.train) // 2))
-    if not judging:
-        return (
-            config.model.widths,
-            None,
-            [Choice("network: full", "nothing", "nothing", "one view tells nothing")],
-        )
-    running = evenly([view for view in scene.train if view not in judging], RUNNERS)
-    left_out = LeftOut(renderer, fit)
-    examples = Views(scene, tuple(running), left_out.see, config.cache_gib)
-    sights = {view.name: left_out.see(view.camera, view) for view in judging}
-    judge = Judge(scene, judging)
+    judging = evenly(range(len(examples)), JUDGES)
+    views = [examples.views[i] for i in judging]
+    sights = {view.name: examples.frame(i).sight for view, i in zip(views, judging, strict=True)}
+    judge, frame, whole = Judge(scene, views), views[0].camera, renderer.network
+    assert isinstance(whole, Fusion)
+    narrowing = Narrowing(whole, [sight for sight in sights.values() if isinstance(sight, Gathered)])
+    sizes = [(), *narrower(config.model.widths), config.model.widths]
+    last = len(sizes) - 1
 
-    def shown(render: Callable[[Gathered, View], Tensor]) -> Score:
-        return judge.score(lambda view: render(sights[view.name], view))
+    @cache
+    def network(i: int) -> Fusion | None:
+        if i == last:
+            return whole
+        return narrowing.to(sizes[i]) if sizes[i] else None
 
-    none = shown(lambda sight, view: sight.blended())
-    racers, frame = [], judging[0].camera
-    for widths in candidates(config.model.widths):
-        torch.manual_seed(config.seed)
-        model = Renderer(replace(config.model, widths=widths), renderer.layers)
-        model.photographs, model.bf16 = renderer.photographs, bf16_is_faster(config.device)
-        if fps is None or seconds_per_frame(model, frame) <= 1 / fps:
-            racers.append(Racer(model, network_multiply_adds(model, frame), none))
-    if not racers:
-        return (), None, [Choice("network: none", "all of it", "unknown", f"none reaches {fps:g} frames/s")]
+    def holding(i: int) -> Renderer:
+        renderer.network = network(i)
+        return renderer.eval()
 
-    rounds = max(1, (len(racers) - 1).bit_length())
-    left = list(racers)
-    with progress_bar() as bar:
-        for number in bar.track(range(rounds), description="races of networks"):
-            for racer in left:
-                _run(racer, examples, config, 1 / (rounds * len(left)))
-                with torch.no_grad():
-                    racer.score = shown(racer.show)
-            best, *small = _ranked(left)
-            if number + 1 < rounds:
-                # One round is too short to be sure that none of the smaller ones is as good.
-                left = [best, *(small or _best_smaller(left, best))[:1]]
-    chosen = small[0] if small else best
-    most = max(racer.work for racer in racers)
-    gained = best.score.psnr - none.psnr, best.score.ssim - none.ssim
-    told = f"gains {gained[0]:.2f} dB and {gained[1]:.4f} SSIM on {len(judging)} views"
-    if none.within(best.score, NONE_LIMIT):
-        saved = f"{most / 1e9:.1f} G multiply-adds a frame"
-        return (), None, [Choice("network: none", saved, none.cost_beside(best.score), f"the best {told}")]
-    widths = chosen.renderer.config.widths
-    saved = f"{(most - chosen.work) / 1e9:.1f} of {most / 1e9:.1f} G multiply-adds a frame"
-    choice = Choice(f"network: {widths}", saved, chosen.score.cost_beside(best.score), f"the best {told}")
-    return widths, chosen.network, [choice]
+    @cache
+    @torch.no_grad()
+    def score(i: int) -> Score:
+        return judge.score(lambda view: holding(i)(sights[view.name], view.camera).cpu())
+
+    def enough(i: int) -> bool:
+        return i == last or score(i).within(score(last), NARROW_LIMIT if i else NONE_LIMIT)
+
+    def fast(i: int) -> bool:
+        return config.fps is None or seconds_per_frame(holding(i), frame) <= 1 / config.fps
+
+    usual = next((n for n, size in enumerate(sizes) if max(size, default=0) >= USUAL), last)
+    fewest = i = least(enough, usual)
+    renderer.bf16 = bf16_is_faster(config.device)
+    while i > 0 and not fast(i):
+        i -= 1
+    named = [str(size or "none") for size in sizes]
+    if i < fewest:
+        why = f"wished for {config.fps:g} frames a second"
+    elif i > 0:
+        why = f"{named[i - 1]} costs {score(i - 1).cost_beside(score(last))}"
+    else:
+        why = "mesh and photographs are enough"
+    work, most = (network_multiply_adds(holding(n), frame) for n in (i, last))
+    saved = f"{(most - work) / 1e9:.1f} of {most / 1e9:.1f} G multiply-adds a frame"
+    choice = Choice(f"network: {named[i]}", saved, score(i).cost_beside(score(last)), why)
+    holding(i)
+    sized = replace(config, model=replace(config.model, widths=sizes[i])) if i else without_network(config)
+    return _chose(sized, choice)
 
 
-def _ranked(racers: list[Racer]) -> list[Racer]:
-    """The best one, then those of less work that are as good but for the limit, the least work first."""
-    best = max(racers, key=lambda racer: racer.score.psnr)
-    small = [r for r in racers if r.work < best.work and r.score.within(best.score, SMALL_LIMIT)]
-    return [best, *sorted(small, key=lambda racer: racer.work)]
+def narrower(full: tuple[int, ...]) -> list[tuple[int, ...]]:
+    """Widths below the full size, the least first, with as many layers; none wider than it was."""
+    cut = (tuple(min(width, wide) for wide in full) for width in WIDTHS)
+    return [widths for widths in dict.fromkeys(cut) if widths != full]
 
 
-def _best_smaller(racers: list[Racer], best: Racer) -> list[Racer]:
-    """Those of less work, the best first."""
-    smaller = [racer for racer in racers if racer.work < best.work]
-    return sorted(smaller, key=lambda racer: -racer.score.psnr)
-
-
-def candidates(full: tuple[int, ...]) -> list[tuple[int, ...]]:
-    """Widths that race: one hidden layer, no wider than the first of the full size, and the full size."""
-    return [*((width,) for width in SMALL if width <= full[0] and (width,) != full), full]
-
-
-def _run(racer: Racer, examples: Views, config: TrainConfig, share: float) -> None:
-    """Train a network for its share of the races, with a decay of its own."""
-    rate = config.stages[-1].network_rate
-    optimiser = torch.optim.Adam(racer.network.parameters(), lr=rate)
-    generator = torch.Generator().manual_seed(config.seed)
-    racer.renderer.train()
-    budget, step, done = Budget(_part(config, len(examples), share), len(examples), Clock()), 0, 0.0
-    while done < 1:
-        i = int(torch.randint(len(examples), (), generator=generator))
-        example = examples.crop(i, config.window, generator)
-        assert example.image is not None
-        image = racer.renderer(example.sight, example.camera)[None]
-        target, mask = example.image[None] / 255, example.mask
-        counted = None if mask is None else mask[None, None].float()
-        loss = l1(image, target, counted)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        for group in optimiser.param_groups:
-            group["lr"] = rate * (1 - done)
-        optimiser.step()
-        step += 1
-        done = budget.progress(step)
-    racer.renderer.eval()
-
-
-def _part(config: TrainConfig, n_steps: int, share: float) -> TrainConfig:
-    """The budget of one racer in one round: a share of the races' time, and no more passes than tell."""
-    if config.minutes is not None:
-        return replace(config, minutes=SHARE * share * config.minutes, passes=PASSES)
-    total = config.iterations if config.epochs is None else config.epochs * n_steps
-    return replace(config, iterations=max(1, round(SHARE * share * (total or 0))), epochs=None)
+def _chose(config: TrainConfig, choice: Choice) -> TrainConfig:
+    console.print(str(choice), highlight=False)
+    return replace(config, choices=(*config.choices, choice))

@@ -1,20 +1,21 @@
-"""A scene and a configuration → no more of both than the scene needs, choice by choice."""
+"""A scene and a configuration → no more of both than the scene needs, choice by choice.
+
+The network is sized when it is trained (`nmbg.capacity.network`).
+"""
 
 from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-from torch import Tensor, nn
+from torch import Tensor
 
-from nmbg.capacity.choices import Choice, megabytes
+from nmbg.capacity.choices import Choice, least, megabytes
 from nmbg.capacity.harmonics import STEPS, USUAL_STEP, degrees_for, floats
 from nmbg.capacity.judge import JUDGES, LIMIT, SOURCES_LIMIT, Judge, Score
-from nmbg.capacity.network import race, without_network
 from nmbg.capacity.photographs import COST, blending, choose_photographs
 from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, SUFFIX, USUAL, Storage, store, stored_bytes
 from nmbg.capacity.thinning import OPENED, THINNING_LIMIT, halved, opened
@@ -42,7 +43,6 @@ class Plan:
         photographs: that are kept.
         storage: how they are kept.
         fit: colours in closed form, where they are at hand.
-        network: to begin with, where one is at hand.
     """
 
     scene: Scene
@@ -50,7 +50,6 @@ class Plan:
     photographs: tuple[View, ...]
     storage: Storage = STORAGES[-1]
     fit: ColourFit | None = None
-    network: nn.Module | None = None
 
 
 def plan(scene: Scene, config: TrainConfig) -> Plan:
@@ -88,16 +87,12 @@ class _Sizing:
         storage = self._storage(kept)
         self._samples(kept, score)
         fit = self._harmonics(kept)
-        network = self._network(kept, fit) if self.config.model.widths else None
         config = replace(self.config, choices=tuple(self.choices))
-        return Plan(self.scene, config, kept, storage, fit, network)
+        return Plan(self.scene, config, kept, storage, fit)
 
     def _chose(self, choice: str, saves: str, costs: str, reason: str) -> None:
-        self._add(Choice(choice, saves, costs, reason))
-
-    def _add(self, choice: Choice) -> None:
-        self.choices.append(choice)
-        console.print(str(choice), highlight=False)
+        self.choices.append(Choice(choice, saves, costs, reason))
+        console.print(str(self.choices[-1]), highlight=False)
 
     def _vertices(self) -> None:
         scene = self.scene
@@ -257,17 +252,6 @@ class _Sizing:
         self._model(degree=highest)
         return fit.reduced(highest)
 
-    def _network(self, kept: tuple[View, ...], fit: ColourFit) -> nn.Module | None:
-        renderer = self._blending(self.config.model, self.scene, kept, fit.coefficients())
-        widths, network, choices = race(self.scene, self.config, renderer, fit, self.config.fps)
-        for choice in choices:
-            self._add(choice)
-        if widths:
-            self._model(widths=widths)
-        else:
-            self.config = without_network(self.config)
-        return network
-
     def _model(self, **changes: object) -> None:
         self.config = replace(self.config, model=replace(self.config.model, **changes))  # type: ignore[arg-type]
 
@@ -297,13 +281,3 @@ class _Sizing:
     def _score(self, renderer: Renderer) -> Score:
         """How well a renderer predicts the judging views without their own photographs."""
         return self.judge.score(lambda view: renderer.render(view.camera, without={view.name}))
-
-
-def least(enough: Callable[[int], bool], usual: int) -> int:
-    """The first of growing sizes that is enough, searched from a usual one; one of them must be."""
-    i = usual
-    while not enough(i):
-        i += 1
-    while i > 0 and enough(i - 1):
-        i -= 1
-    return i

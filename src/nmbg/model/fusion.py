@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 from torch import Tensor, nn
@@ -32,6 +32,13 @@ class Fusion(nn.Module):
         for parameter in last.parameters():
             nn.init.zeros_(parameter)
         self.layers.append(last)
+
+    def hidden(self, features: Tensor) -> Iterator[Tensor]:
+        """What each hidden layer gives the next one, [1, width, H, W]."""
+        for layer in list(self.layers)[:-1]:
+            features = layer(features)
+            if isinstance(layer, nn.ELU):
+                yield features
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """Look at a view.

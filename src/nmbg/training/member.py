@@ -180,7 +180,7 @@ def begin(
     save_views(folder, scene, left_out, exposures)
     planned = plan(scene, config)
     scene, config = planned.scene, planned.config
-    renderer = checkpoint.build_renderer(scene, config, planned.network if network is None else network)
+    renderer = checkpoint.build_renderer(scene, config, network)
     checkpoint.save_scene(folder, scene, planned.photographs, planned.storage)
     fit = planned.fit or _fit_colours(scene, config, renderer)
     if config.start == "mean":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 from torch import nn
 
 from nmbg.atomic import atomic_folder
-from nmbg.capacity.network import unless_too_few
+from nmbg.capacity.network import size_network, unless_too_few
 from nmbg.errors import NmbgError
 from nmbg.losses import Perceptual
 from nmbg.progress import console
@@ -67,8 +68,9 @@ def train(
         modules = {"descriptors": renderer.descriptors, "network": renderer.network}
         checkpoint.save_checkpoint(temporary, Progress(seconds=clock.seconds), modules)
     if config.stages:
-        crew = _Alone(Member(run, scene_, config, renderer, colours))
-        Loop(config, run, crew, perceptual, adversary, Progress(), {}, clock).fit()
+        member = Member(run, scene_, config, renderer, colours)
+        Loop(config, run, _Alone(member), perceptual, adversary, Progress(), {}, clock).fit()
+        _size_network(member)
     return run
 
 
@@ -103,7 +105,24 @@ def resume(run: Path, weights: Path | None = None, device: str | None = None) ->
         adversary.load_state_dict(optimisers["adversary"])
     if config.stages:
         Loop(config, run, _Alone(member), perceptual, adversary, state, optimisers, clock).fit()
+        _size_network(member)
     return run
+
+
+def _size_network(member: Member) -> None:
+    """Leave of the trained network what the scene needs, once, where that is asked for."""
+    run, config = member.folder, member.config
+    if config.capacity == "full" or "network" in {choice.part for choice in config.choices}:
+        return
+    renderer, scene = member.renderer, member.scene
+    config = size_network(scene, config, renderer, member.training)
+    found = checkpoint.latest_checkpoint(run)
+    assert found is not None
+    with atomic_folder(run, overwrite=True) as temporary:
+        shutil.copytree(run, temporary, dirs_exist_ok=True)
+        checkpoint.save_config(temporary, run, {scene.folder.resolve().name: scene.folder}, config)
+        modules = {"descriptors": renderer.descriptors, "network": renderer.network}
+        checkpoint.save_checkpoint(temporary, checkpoint.load_progress(found), modules)
 
 
 class _Alone:
