@@ -39,7 +39,9 @@ def network_multiply_adds(renderer: Renderer, padded: Camera) -> int:
         return 0
     config = renderer.config
     channels = count_features(config.sources) if config.sources else config.channels
-    levels = [torch.zeros(1, channels, padded.height >> k, padded.width >> k) for k in range(config.levels)]
+    device = next(renderer.network.parameters()).device
+    sizes = [(padded.height >> k, padded.width >> k) for k in range(config.levels)]
+    levels = [torch.zeros(1, channels, *size, device=device) for size in sizes]
     counter = FlopCounterMode(display=False)
     with torch.no_grad(), counter:
         renderer.network(levels[0] if config.sources else [levels] * config.layers)
