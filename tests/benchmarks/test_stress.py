@@ -10,6 +10,7 @@ from stability import job_for
 from stress import STRESSES, Stressed
 from stress.geometry import parts
 
+from nmbg.reconstruct.colours import mean_vertex_colours
 from nmbg.scene import Scene
 
 
@@ -197,3 +198,21 @@ def test_views_beyond_the_cameras_are_those_that_the_tables_name(scene):
     assert stress.judged(dtu, 0) == ("13", "14", "15", "23", "24", "25")
     assert stress.judged(dtu, 1) == ("00", "04", "38", "48")
     assert job_for(Path("dtu"), "photos", stress, 1).stressed is None
+
+
+@pytest.mark.parametrize(("name", "severity"), [("fewer views", 4), ("block", 0.75)])
+def test_fewer_views_tell_nothing_of_what_only_the_others_saw(scene, name, severity):
+    def seen(views):
+        photographs = ((v.camera, scene.load_image(v), scene.load_mask(v)) for v in views)
+        return mean_vertex_colours(scene.mesh, photographs)[1]
+
+    names = {view.name for view in Stressed(STRESSES[name], severity).apply(scene).train}
+    kept = seen([view for view in scene.train if view.name in names])
+    before = seen(scene.train)
+    assert (before & ~kept).any()
+    colours = scene.mesh.colours.copy()
+    colours[before] = (255, 0, 255)  # nothing in the photographs
+    marked = replace(scene, mesh=replace(scene.mesh, colours=colours))
+    found = Stressed(STRESSES[name], severity).apply(marked).mesh.colours
+    assert not (found[before] == (255, 0, 255)).all(1).any()
+    assert np.array_equal(found[~before], colours[~before])
