@@ -139,11 +139,12 @@ def pictures(results: dict[str, Any], scene: Scene, output: Path) -> None:
                 continue
             panels = [*map(read_image, shots), middle]
             shown = "–" if worst["psnr"] is None else f"{worst['psnr']:.2f} dB"
-            rows.append(Row(f"{preset}: {worst['severity']:g}, {shown}", tuple(_fitted(panels))))
+            told = f"{preset}: {worst['severity']:g} ({UNITS[name]}), {shown}"
+            rows.append(Row(told, tuple(_fitted(panels))))
         if rows:
             path = output / "sheets" / f"{results['scene']}-{file_name(name)}.png"
             with atomic_file(path) as temporary:
-                write_image(temporary, sheet(rows, ("without", UNITS[name], "photograph"), errors=False))
+                write_image(temporary, sheet(rows, ("without", "with", "photograph"), errors=False))
 
 
 def _fitted(panels: Sequence[Image]) -> list[Image]:
