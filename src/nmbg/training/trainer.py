@@ -119,7 +119,8 @@ def _size_network(member: Member) -> None:
     found = checkpoint.latest_checkpoint(run)
     assert found is not None
     with atomic_folder(run, overwrite=True) as temporary:
-        shutil.copytree(run, temporary, dirs_exist_ok=True)
+        # The checkpoint is written anew, without its optimisers.
+        shutil.copytree(run, temporary, ignore=shutil.ignore_patterns(found.parent.name), dirs_exist_ok=True)
         checkpoint.save_config(temporary, run, {scene.folder.resolve().name: scene.folder}, config)
         modules = {"descriptors": renderer.descriptors, "network": renderer.network}
         checkpoint.save_checkpoint(temporary, checkpoint.load_progress(found), modules)
