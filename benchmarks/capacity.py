@@ -5,7 +5,8 @@ Example:
 
 Five minutes a run; with `--steps N` both sizes take so many steps instead, whatever else the machine does.
 Finished runs are kept: run it again and it goes on where it stopped. `--quick` takes 60 steps and one seed.
-Bytes are those that rendering needs: no state of training. Frames of both sizes are timed in turn.
+Bytes are those that rendering needs: no state of training. Frames of both sizes, and of the preset
+`paper`, are timed in turn.
 """
 
 from __future__ import annotations
@@ -21,15 +22,18 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 import click
 from options import output_option, scenes_argument, weights_option
 from record import cell, command, commit, provenance, write
-from sweep import METRICS, Job, Sweep, trained_for
+from sweep import METRICS, Job, Sweep, trained_for, untrained
 from timing import alternate
 
 from nmbg.capacity.cost import multiply_adds
 from nmbg.capacity.export import export_compact
 from nmbg.evaluation.cost import run_bytes
 from nmbg.evaluation.evaluate import evaluate
+from nmbg.model.renderer import Renderer
 from nmbg.scene import Scene
 from nmbg.training.checkpoint import load_run
+
+SIZES = ("full", "auto", "paper")
 
 
 @click.command()
@@ -64,29 +68,29 @@ def main(
             runs = [sweep.folder(job) for job in jobs]
             small = output / "work" / f"{runs[1].name}-compact"
             runs[1] = export_compact(runs[1], small, overwrite=True)
+            paper = untrained(scene, "paper", output / "work" / f"{scene.name}-paper").renderer
             row = {"scene": scene.name, "seed": seed, "commit": commit()}
-            rows.append({**row, **_compare(scene, runs, repeats, weights)})
+            rows.append({**row, **_compare(scene, runs, paper, repeats, weights)})
             results = {"command": command(), "budget": budget, **provenance(), "rows": rows}
             write(output, "capacity", results, _table(results))
     click.echo(_table(results))
 
 
-def _compare(scene: Path, runs: list[Path], repeats: int, weights: Path) -> dict[str, Any]:
-    """Figures of a full run and of a small one."""
+def _compare(scene: Path, runs: list[Path], paper: Renderer, repeats: int, weights: Path) -> dict[str, Any]:
+    """Figures of a full run and of a small one; of `paper` what a frame costs."""
     loaded = [load_run(run) for run in runs]
     camera = Scene.load(scene).test[0].camera
-    names = ("full", "auto")
-    calls = {name: partial(run.renderer.render, camera) for name, run in zip(names, loaded, strict=True)}
+    renderers = dict(zip(SIZES, [*(run.renderer for run in loaded), paper], strict=True))
+    calls = {name: partial(renderer.render, camera) for name, renderer in renderers.items()}
     times = alternate(calls, repeats)
-    found: dict[str, Any] = {"choices": [str(choice) for choice in loaded[1].config.choices]}
-    for name, folder, run in zip(names, runs, loaded, strict=True):
+    found: dict[str, Any] = {
+        name: {"multiply_adds": multiply_adds(renderer, camera), "times": times[name]}
+        for name, renderer in renderers.items()
+    }
+    found["choices"] = [str(choice) for choice in loaded[1].config.choices]
+    for name, folder in zip(SIZES, runs, strict=False):
         mean = evaluate(folder, METRICS, lpips_net="squeeze", weights=weights).mean
-        found[name] = {
-            **mean,
-            "bytes": run_bytes(folder),
-            "multiply_adds": multiply_adds(run.renderer, camera),
-            "times": times[name],
-        }
+        found[name] |= {**mean, "bytes": run_bytes(folder)}
     return found
 
 
@@ -96,18 +100,20 @@ def _table(results: dict[str, Any]) -> str:
     machine = results["machine"]
     lines = [
         f"`--capacity auto`, exported compactly, beside `full`: {told} a run, {machine['cpu']}, "
-        f"{machine['threads']} threads. MB: photographs + geometry + descriptors + network.",
+        f"{machine['threads']} threads. MB: photographs + geometry + descriptors + network. Beside them the "
+        "preset `paper`, untrained: what its frames cost.",
         "",
         "| scene, seed | size | PSNR / SSIM / LPIPS | MB | multiply-adds a frame, G | ms / frame |",
         "|---|---|---|---|---|---|",
     ]
     for row in results["rows"]:
-        for name in ("full", "auto"):
-            figures = row[name]
-            parts = " + ".join(f"{n / 1e6:.2f}" for n in figures["bytes"].values())
-            total = sum(figures["bytes"].values()) / 1e6
+        for name in SIZES:
+            figures, shown, held = row[name], "–", "–"
+            if "bytes" in figures:
+                parts = " + ".join(f"{n / 1e6:.2f}" for n in figures["bytes"].values())
+                shown, held = cell(figures), f"{sum(figures['bytes'].values()) / 1e6:.1f} = {parts}"
             lines.append(
-                f"| {row['scene']}, {row['seed']} | {name} | {cell(figures)} | {total:.1f} = {parts} | "
+                f"| {row['scene']}, {row['seed']} | {name} | {shown} | {held} | "
                 f"{figures['multiply_adds'] / 1e9:.2f} | {figures['times']['ms']:.0f} |"
             )
     for row in results["rows"]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import tempfile
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,12 +19,11 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # as the command line does
 import click
 import torch
 from record import command, provenance, write
+from sweep import untrained
 from timing import show, timed
 from torch.profiler import ProfilerActivity, profile
 
 from nmbg.scene import Scene
-from nmbg.training import checkpoint, trainer
-from nmbg.training.config import PRESETS
 
 LONGER_SIDES = (480, 960, 1920)
 SHOWN = ("mesh", "photos", "photos-mesh", "nmbg", "npbg", "paper")
@@ -53,10 +51,8 @@ def main(scene: Path, output: Path, repeats: int) -> None:
     held_out = (loaded.test or loaded.train)[0].camera
     rows: list[dict[str, Any]] = []
     for name in SHOWN:
-        config = replace(PRESETS[name], iterations=0, minutes=None, epochs=None, refine="none")
-        config = replace(config, stages=(), perceptual="none")
         with tempfile.TemporaryDirectory() as folder:
-            run = checkpoint.load_run(trainer.train(loaded, config, Path(folder) / name))
+            run = untrained(scene, name, Path(folder) / name)
             for longer in LONGER_SIDES:
                 scale = longer / max(held_out.width, held_out.height)
                 camera = held_out.resized(round(scale * held_out.width), round(scale * held_out.height))

@@ -20,7 +20,7 @@ from stress import Stressed
 from nmbg.atomic import atomic_file
 from nmbg.evaluation.evaluate import evaluate
 from nmbg.scene import Scene
-from nmbg.training.checkpoint import latest_checkpoint, load_progress
+from nmbg.training.checkpoint import Run, latest_checkpoint, load_progress, load_run
 from nmbg.training.config import PRESETS, VGG_TO_RELU3, TrainConfig
 from nmbg.training.precision import bf16_is_faster
 from nmbg.training.run_views import VIEWS
@@ -201,6 +201,19 @@ def trained_for(
         seed=seed,
         **changes,
     )
+
+
+def untrained(scene: Path, preset: str, folder: Path) -> Run:
+    """A preset that has taken no step, to be timed: what it shows is of no matter.
+
+    Args:
+        scene: scene folder.
+        preset: its name.
+        folder: run folder, replaced.
+    """
+    config = replace(PRESETS[preset], iterations=0, minutes=None, epochs=None, refine="none")
+    config = in_precision(replace(config, stages=(), perceptual="none"))
+    return load_run(train(Scene.load(scene), config, folder, overwrite=True))
 
 
 def in_precision(config: TrainConfig, bf16: bool | None = None) -> TrainConfig:
