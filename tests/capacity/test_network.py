@@ -10,7 +10,15 @@ import torch
 
 from nmbg.cameras import Camera
 from nmbg.capacity.judge import JUDGES, Limit
-from nmbg.capacity.network import FEWEST_VIEWS, WIDTHS, narrower, size_network, unless_too_few
+from nmbg.capacity.network import (
+    FEWEST_VIEWS,
+    TRAINED,
+    WIDTHS,
+    few_channels,
+    narrower,
+    size_network,
+    unless_too_few,
+)
 from nmbg.evaluation.evaluate import evaluate
 from nmbg.model.fusion import Fusion
 from nmbg.model.renderer import Renderer
@@ -72,6 +80,23 @@ def test_the_least_network_within_the_limits_is_kept(
     if widths:
         assert isinstance(kept, Fusion)
         assert [parameter.shape[0] for parameter in kept.parameters()][:-2:2] == list(widths)
+
+
+def test_the_table_counts_from_the_size_of_the_preset(
+    member: Member, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As if a channel of the first layer were a billion multiply-adds, whatever was trained."""
+
+    def count(renderer: Renderer, camera: Camera) -> float:
+        assert renderer.network is not None
+        return 1e9 * next(renderer.network.parameters()).shape[0]
+
+    limits(monkeypatch, NEVER, ANYTHING)
+    monkeypatch.setattr("nmbg.capacity.network.network_multiply_adds", count)
+    trained = Fusion(member.config.model.sources, (8, 8))
+    member.renderer.network = trained
+    member.config = few_channels(member.config)
+    assert "saves 28.0 of 32.0 G multiply-adds" in told(sized(member))
 
 
 def test_the_table_says_what_the_cut_costs(member: Member, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,7 +163,7 @@ def test_a_run_is_cut_once_be_it_by_the_one_that_resumes_it(
         patch.setattr("nmbg.training.trainer.size_network", interrupted)
         with pytest.raises(KeyboardInterrupt):
             train(Scene.load(scene_folder), AUTO, run)
-    assert checkpoint.load_run(run).config.model.widths == FULL.model.widths
+    assert checkpoint.load_run(run).config.model.widths == (TRAINED, TRAINED)
     states = []
     for _ in range(2):
         resume(run)
@@ -159,7 +184,7 @@ def test_a_run_of_full_size_keeps_its_network(full: Path) -> None:
 
 def test_narrower_networks_have_as_many_layers() -> None:
     assert narrower((32, 32)) == [(width, width) for width in WIDTHS]
-    assert narrower((32, 10)) == [(4, 4), (6, 6), (8, 8), (10, 10), (12, 10), (16, 10), (24, 10)]
+    assert narrower((32, 5)) == [(4, 4), (6, 5)]
     assert narrower((8,)) == [(4,), (6,)]
     assert narrower((4, 4)) == []
 
@@ -199,3 +224,9 @@ def test_only_networks_over_photographs_need_so_many_views() -> None:
     for preset in ("mesh", "photos", "paper", "npbg"):
         assert unless_too_few(PRESETS[preset], 1) == PRESETS[preset]
     assert unless_too_few(PRESETS["nmbg"], FEWEST_VIEWS) == PRESETS["nmbg"]
+
+
+def test_no_layer_is_trained_with_more_channels_than_its_preset_has() -> None:
+    config = replace(AUTO, model=replace(AUTO.model, widths=(32, 4)))
+    assert few_channels(config).model.widths == (TRAINED, 4)
+    assert few_channels(PRESETS["photos"]) == PRESETS["photos"]

@@ -1,4 +1,5 @@
-"""How much of a network a scene needs: none where there are few views, else what it misses when it is cut."""
+"""How much of a network a scene needs: none where there are few views, else few channels, and fewer where
+these are not missed."""
 
 from __future__ import annotations
 
@@ -13,18 +14,20 @@ from nmbg.capacity.cost import network_multiply_adds, seconds_per_frame
 from nmbg.capacity.judge import JUDGES, Judge, Limit, Score
 from nmbg.model.fusion import Fusion
 from nmbg.model.photographs import Gathered
-from nmbg.model.renderer import Renderer
+from nmbg.model.renderer import Renderer, make_network
 from nmbg.progress import console
 from nmbg.scene import Scene, evenly
-from nmbg.training.config import TrainConfig
+from nmbg.training.config import PRESETS, TrainConfig
 from nmbg.training.left_out import can_leave_out
 from nmbg.training.precision import bf16_is_faster
 from nmbg.training.views import Views
 
-# What no network may cost beside the trained one, and what fewer channels may.
-NONE_LIMIT, NARROW_LIMIT = Limit(0.02, 0.01), Limit(0.05, 0.02)
-# Channels of each hidden layer that are tried, and those that are tried first.
-WIDTHS, USUAL = (4, 6, 8, 10, 12, 16, 24), 10
+# Channels of each hidden layer that are trained at most: more of them show four captures the same
+# (docs/capacity.md). Those that may be left of them.
+TRAINED, WIDTHS = 8, (4, 6)
+# What no network may cost beside the trained one, and what fewer channels may: they show less of what lies
+# beyond the photographs than training views tell.
+NONE_LIMIT, NARROW_LIMIT = Limit(0.02, 0.01), Limit(0.01, 0.002)
 # Fewer views teach a network over photographs what holds for them alone: with five, four captures of four are
 # shown worse with it than without, with eight three, eleven two; ten cost one 1.3 dB (docs/stability.md).
 FEWEST_VIEWS = 12
@@ -34,6 +37,12 @@ def without_network(config: TrainConfig) -> TrainConfig:
     """A configuration without one: nothing is left to train, whatever the budget."""
     model = replace(config.model, widths=())
     return replace(config, model=model, stages=(), minutes=None, iterations=None, epochs=None)
+
+
+def few_channels(config: TrainConfig) -> TrainConfig:
+    """A configuration whose network is trained with as many channels as any scene needs."""
+    widths = tuple(min(width, TRAINED) for width in config.model.widths)
+    return replace(config, model=replace(config.model, widths=widths))
 
 
 def unless_too_few(config: TrainConfig, views: int) -> TrainConfig:
@@ -89,8 +98,7 @@ def size_network(scene: Scene, config: TrainConfig, renderer: Renderer, examples
     def fast(i: int) -> bool:
         return config.fps is None or seconds_per_frame(holding(i), frame) <= 1 / config.fps
 
-    usual = next((n for n, size in enumerate(sizes) if max(size, default=0) >= USUAL), last)
-    fewest = i = least(enough, usual)
+    fewest = i = least(enough, last)
     renderer.bf16 = bf16_is_faster(config.device)
     while i > 0 and not fast(i):
         i -= 1
@@ -101,10 +109,12 @@ def size_network(scene: Scene, config: TrainConfig, renderer: Renderer, examples
         why = f"{named[i - 1]} costs {score(i - 1).cost_beside(score(last))}"
     else:
         why = "mesh and photographs are enough"
-    work, most = (network_multiply_adds(holding(n), frame) for n in (i, last))
+    renderer.network = make_network(replace(config.model, widths=PRESETS[config.preset].model.widths))
+    most = network_multiply_adds(renderer, frame)
+    work = network_multiply_adds(holding(i), frame)
     saved = f"{(most - work) / 1e9:.1f} of {most / 1e9:.1f} G multiply-adds a frame"
-    choice = Choice(f"network: {named[i]}", saved, score(i).cost_beside(score(last)), why)
-    holding(i)
+    costs = f"{score(i).cost_beside(score(last))} beside the trained {named[last]}"
+    choice = Choice(f"network: {named[i]}", saved, costs, why)
     sized = replace(config, model=replace(config.model, widths=sizes[i])) if i else without_network(config)
     return _chose(sized, choice)
 

@@ -1,6 +1,6 @@
 """A scene and a configuration → no more of both than the scene needs, choice by choice.
 
-The network is sized when it is trained (`nmbg.capacity.network`).
+The network is trained with few channels, and sized when it is (`nmbg.capacity.network`).
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from torch import Tensor
 from nmbg.capacity.choices import Choice, least, megabytes
 from nmbg.capacity.harmonics import STEPS, USUAL_STEP, degrees_for, floats
 from nmbg.capacity.judge import JUDGES, LIMIT, SOURCES_LIMIT, Judge, Score
+from nmbg.capacity.network import few_channels
 from nmbg.capacity.photographs import COST, blending, choose_photographs
 from nmbg.capacity.storage import STORAGE_LIMIT, STORAGES, SUFFIX, USUAL, Storage, store, stored_bytes
 from nmbg.capacity.thinning import OPENED, THINNING_LIMIT, halved, opened
@@ -87,7 +88,7 @@ class _Sizing:
         storage = self._storage(kept)
         self._samples(kept, score)
         fit = self._harmonics(kept)
-        config = replace(self.config, choices=tuple(self.choices))
+        config = few_channels(replace(self.config, choices=tuple(self.choices)))
         return Plan(self.scene, config, kept, storage, fit)
 
     def _chose(self, choice: str, saves: str, costs: str, reason: str) -> None:
