@@ -52,7 +52,7 @@ class Score(NamedTuple):
         return best.psnr - self.psnr <= limit.psnr and lost <= limit.ssim * (1 - best.ssim) + ROUNDING
 
 
-# What a single choice may cost: all limits together are 0.16 dB, but for the photographs.
+# What a single choice may cost: all limits together are 0.13 dB, but for the photographs.
 LIMIT = Limit(0.02, 0.005)
 # Fewer photographs in a pixel blur less: what SSIM loses by that, LPIPS gains.
 SOURCES_LIMIT = Limit(0.03, 0.01)
