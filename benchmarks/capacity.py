@@ -61,6 +61,7 @@ def main(
     sweep = Sweep(output, weights)
     rows: list[dict[str, Any]] = []
     for scene in scenes:
+        paper = untrained(scene, "paper", output / "work" / f"{scene.name}-paper").renderer
         for seed in range(seeds):
             full = trained_for("nmbg", budget["minutes"], seed, steps)
             jobs = [Job(scene, full), Job(scene, replace(full, capacity="auto"))]
@@ -68,7 +69,6 @@ def main(
             runs = [sweep.folder(job) for job in jobs]
             small = output / "work" / f"{runs[1].name}-compact"
             runs[1] = export_compact(runs[1], small, overwrite=True)
-            paper = untrained(scene, "paper", output / "work" / f"{scene.name}-paper").renderer
             row = {"scene": scene.name, "seed": seed, "commit": commit()}
             rows.append({**row, **_compare(scene, runs, paper, repeats, weights)})
             results = {"command": command(), "budget": budget, **provenance(), "rows": rows}

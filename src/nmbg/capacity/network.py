@@ -22,7 +22,7 @@ from nmbg.training.left_out import can_leave_out
 from nmbg.training.precision import bf16_is_faster
 from nmbg.training.views import Views
 
-# Channels of each hidden layer that are trained at most: more of them show four captures the same
+# Channels of each hidden layer that are trained at most: more of them show three captures the same
 # (docs/capacity.md). Those that may be left of them.
 TRAINED, WIDTHS = 8, (4, 6)
 # What no network may cost beside the trained one, and what fewer channels may: they show less of what lies
@@ -40,7 +40,7 @@ def without_network(config: TrainConfig) -> TrainConfig:
 
 
 def few_channels(config: TrainConfig) -> TrainConfig:
-    """A configuration whose network is trained with as many channels as any scene needs."""
+    """A configuration whose network is trained with `TRAINED` channels a hidden layer at most."""
     widths = tuple(min(width, TRAINED) for width in config.model.widths)
     return replace(config, model=replace(config.model, widths=widths))
 
